@@ -1,10 +1,15 @@
-"""What matching takes and gives: candidates with their facts, offers, and refusals with their reasons."""
+"""What matching takes and gives: candidates with their facts, offers, and refusals with their reasons.
+
+Candidates and facts are structs: in a lively team thousands of them are made for one question.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Literal, Protocol
+
+from msgspec import Struct
 
 from lfield.capability.model import Value
 
@@ -15,8 +20,7 @@ Kind = Literal["direct", "equivalent", "composed"]
 Provenance = Literal["nominal", "stated", "told", "measured"]
 
 
-@dataclass(frozen=True, slots=True)
-class Fact:
+class Fact(Struct, frozen=True, gc=False):
     """The value of an attribute, and where it is `of`.
 
     One that was measured may have changed unnoticed for `age` seconds; any other stands.
@@ -42,8 +46,7 @@ class Fact:
 Place = tuple[float, float, float | None]
 
 
-@dataclass(frozen=True, slots=True)
-class Candidate:
+class Candidate(Struct, frozen=True):
     """An agent of a resource type as this host knows it now.
 
     `facts` are its own values and its live ones by attribute; those of its type and of the primitive are the
@@ -57,8 +60,8 @@ class Candidate:
     host: str
     hops: int = 0
     refusal: str = ""
-    facts: Mapping[str, Fact] = field(default_factory=dict)
-    unknown: Mapping[str, str] = field(default_factory=dict)
+    facts: Mapping[str, Fact] = {}
+    unknown: Mapping[str, str] = {}
     number: int = 0
 
 

@@ -369,10 +369,11 @@ class Machine:
                 self._scheduler.uncaught(agent, thread, leave.place)
 
     def _carry_out(self, agent: Agent, thread: int, leave: Outside) -> None:
+        start = agent.block.top
         try:
             self._outsiders.carry_out(agent, thread, leave)
         except Full as full:
-            self._scheduler.make_room(agent, thread, full.words)
+            self._scheduler.make_room(agent, thread, agent.block.lacking(start, full))
 
     def _done(self, agent: Agent, thread: int, word: int) -> None:
         scheduler = self._scheduler

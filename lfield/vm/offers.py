@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 
 from lfield.bytecode.program import ARRAY, FACTS, OBJECT, OLDEST_FACTS, PROXY, Program, TypeRecord
 from lfield.vm.memory import layout
-from lfield.vm.memory.block import Block, Full
+from lfield.vm.memory.block import Block
 from lfield.vm.memory.layout import header
 
 
@@ -142,9 +142,8 @@ def write_teams(
 
 
 def _written(block: Block, writer: _Writer, place: int) -> int:
+    block.require(len(writer.words))
     end = block.top + len(writer.words)
-    if end > block.end:
-        raise Full(len(writer.words))
     block.w[block.top : end] = memoryview(writer.words)
     block.top = end
     return place

@@ -6,6 +6,7 @@ import math
 import random
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from itertools import islice
 
 from msgspec import structs
 
@@ -49,6 +50,9 @@ class Outsiders:
         self._scheduler, self._team, self._here, self._dice = scheduler, team, here, dice
         self._cancelling, self._limits = cancelling, limits
         self._shapes = Shapes(scheduler.program)
+        self._by_type: dict[str, dict[str, int]] = {}
+        for member in team:
+            self._by_type.setdefault(member.type, {})[member.id] = member.number
         kinds: dict[str, Handler] = {
             "pcall": self._pcall,
             "yield": self._yield,
@@ -200,20 +204,19 @@ class Outsiders:
         scheduler = self._scheduler
         wanted = agent.block.string(words[0])
         name = scheduler.program.core.classes[operand].name
-        of_type = [m for m in self._team if m.type == name]
-        found = next((m for m in of_type if m.id == wanted), None)
-        if found is None:
-            known = ", ".join(m.id for m in of_type[:10]) or "none"
+        of_type = self._by_type.get(name, {})
+        number = of_type.get(wanted)
+        if number is None:
+            known = ", ".join(islice(of_type, 10)) or "none"
             message = f"the deployment has no {name} '{wanted}' (it has {known})"
             scheduler.refuse(agent, thread, "UnknownResourceException", message, wanted)
             return
-        number = found.number
         scheduler.complete(agent, thread, lambda: _proxy(agent, operand, number))
 
     def _find_all(self, agent: Agent, thread: int, operand: int, words: list[int]) -> None:
         scheduler = self._scheduler
         name = scheduler.program.core.classes[operand].name
-        numbers = [m.number for m in self._team if m.type == name]
+        numbers = self._by_type.get(name, {}).values()
         of = next(
             i for i, t in enumerate(scheduler.program.core.types) if t.kind == PROXY and t.of == operand
         )
@@ -221,6 +224,7 @@ class Outsiders:
 
         def work() -> int:
             block = agent.block
+            block.require(1 + len(numbers) * (1 + layout.PROXY_WORDS))
             array = block.allocate(layout.ARRAY, kind, 1 + len(numbers))
             for i, number in enumerate(numbers, array + 1):
                 block.w[i] = _proxy(agent, operand, number)

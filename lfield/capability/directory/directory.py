@@ -16,6 +16,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
 
+from msgspec import Struct
+
 from lfield.capability.directory.news import SILENCE, Announcer, Condition, News, Sample, Trouble
 from lfield.capability.directory.showing import Deployed, known_agents, live_attributes, place_of
 from lfield.capability.model import Live, Registry
@@ -51,8 +53,7 @@ class _Remote:
     conditions: dict[str, Condition] = field(default_factory=dict)
 
 
-@dataclass(frozen=True, slots=True)
-class _Shown:
+class _Shown(Struct, frozen=True):
     """A candidate as it was answered, good `until` then while condition and link are the same."""
 
     candidate: Candidate
@@ -163,9 +164,12 @@ class Directory:
         return [self._candidate(agent, now) for agent in self._agents.values()]
 
     def _candidate(self, agent: Deployed, now: float) -> Candidate:
-        here = agent.host == self._here
-        condition = self._own.get(agent.id, SILENCE) if here else self._told(agent)
-        away = None if here else self._links.away.get(agent.host)
+        # Written out, here and below, because a thousand agents go through it in a query.
+        if agent.host == self._here:
+            condition, away = self._own.get(agent.id, SILENCE), None
+        else:
+            condition = self._remotes[agent.host].conditions.get(agent.id, SILENCE)
+            away = self._links.away.get(agent.host)
         shown = self._shown.get(agent.id)
         if shown is None or now >= shown.until or shown.condition is not condition or shown.away != away:
             shown = self._shown[agent.id] = self._show(agent, condition, away, now)
@@ -175,17 +179,13 @@ class Directory:
         known, told = self._known[agent.id], {}
         trouble = condition.trouble if away is None else Trouble("unreachable", away)
         if condition.samples:
-            kept_until = self._kept_until(agent.host)
-            told = {name: _fact(sample, now, kept_until) for name, sample in condition.samples.items()}
+            told = _with_ages(condition.samples, self._kept_until(agent.host), now)
         refusal = trouble.sentence(now) if trouble else ""
         hops = 0 if agent.host == self._here else 1
         untold = f"{agent.host} has not told {{}} yet"
         candidate = known.shown(hops, refusal, told, condition.unknown, untold)
         passing = trouble or known.measured
         return _Shown(candidate, condition, away, now + MOMENT if passing else math.inf)
-
-    def _told(self, agent: Deployed) -> Condition:
-        return self._remotes[agent.host].conditions.get(agent.id, SILENCE)
 
     def _kept_until(self, host: str) -> float:
         """Until when a host surely kept its values up to date; those of this host are as old as they say."""
@@ -196,12 +196,15 @@ class Directory:
         return remote.kept_until if heard is None else max(remote.kept_until, heard)
 
 
-def _fact(sample: Sample, now: float, kept_until: float) -> Fact:
-    """A value with the age that it has now."""
-    age = max(0.0, now - _true_at(sample, kept_until)) if sample.of == "measured" else 0.0
-    return Fact(sample.value, age, sample.of)
-
-
-def _true_at(sample: Sample, kept_until: float) -> float:
-    """When a value was last true: one that is kept has moved on with its host, up to `kept_until`."""
-    return sample.when + max(0.0, kept_until - sample.at) if sample.kept else sample.when
+def _with_ages(samples: Mapping[str, Sample], kept_until: float, now: float) -> dict[str, Fact]:
+    """What was told, as old as it is now: what is kept has moved on with its host, up to `kept_until`."""
+    facts = {}
+    for name, sample in samples.items():
+        if sample.of != "measured":
+            facts[name] = Fact(sample.value, 0.0, sample.of)
+            continue
+        true_at = sample.when
+        if sample.kept and kept_until > sample.at:
+            true_at += kept_until - sample.at
+        facts[name] = Fact(sample.value, now - true_at if now > true_at else 0.0, "measured")
+    return facts

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Mapping
 from types import MappingProxyType
 from typing import Protocol
 
-from lfield.capability.directory.news import Condition, Sample, Trouble
+from lfield.capability.directory.news import SILENCE, Condition, Sample, Trouble
 from lfield.capability.model import Attribute, AttributeType, Live, Value
 from lfield.clock import Clock
 from lfield.manifest import DeviceValue, Observation
@@ -68,13 +68,15 @@ class Sampler:
 
         What its binding states counts before that. Of what need not be measured its type may say more.
         """
-        bound = self._bound.get(agent, {})
+        bound, trouble = self._bound.get(agent, {}), self._trouble(agent)
+        if not live and not bound and trouble is None:
+            return SILENCE
         found = {name: self._sample(agent, live[name]) for name in live if name not in bound}
         samples = {name: sample for name, sample in found.items() if isinstance(sample, Sample)}
         unknown = {
             name: why for name, why in found.items() if isinstance(why, str) and self._attributes[name].live
         }
-        return Condition(self._trouble(agent), {**samples, **bound}, unknown)
+        return Condition(trouble, {**samples, **bound}, unknown)
 
     def _trouble(self, agent: str) -> Trouble | None:
         running = self._agents.get(agent)
