@@ -5,16 +5,19 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from pathlib import Path
 
+from lfield.bytecode.program import Program
 from lfield.capability.directory.showing import Deployed, Known, known_agents, place_of
 from lfield.capability.model import Attribute, Registry
 from lfield.capability.offer import Candidate, Fact, Place
 from lfield.capability.reading.reader import read_registry
+from lfield.capability.types.generate import all_ways
 from lfield.driver.plugins import discover
 from lfield.errors import LfieldError, UsageError
 from lfield.mission import bundle
-from lfield.mission.load import CAPABILITIES, beside
+from lfield.mission.load import registry_of
 from lfield.mission.team import Team
 from lfield.operator.ask import Answers
+from lfield.vm.offers import ways
 from lfield.wire.observing import Status, Told, ToldFact
 
 #: For each host, what its directory says of the agents.
@@ -43,24 +46,36 @@ class Roster:
         return self._by_type.get(resource, ())
 
 
-def mission_registry(mission: Path, team: Team, capabilities: Path | None = None) -> Registry:
-    """The registry of a mission: that of its bundle, or ours with `capabilities`, else the file beside it.
+#: For each primitive the ways by which it is served, as a matcher wants them; None for all.
+Ways = Mapping[str, Collection[str]]
 
-    Raises ProgramError, InputFileError and BundleError, and UsageError for a bundle that has none.
+
+def mission_registry(
+    mission: Path, team: Team, capabilities: Path | None = None
+) -> tuple[Registry, Ways | None]:
+    """The registry of a mission as its hosts have it, and the ways that are open to its program.
+
+    It is that of its bundle, or ours with `capabilities`, else the file beside it. Where no program can be
+    had, all ways are open. Raises ProgramError, InputFileError and BundleError, and UsageError for a bundle
+    that has none.
     """
-    if mission.suffix == bundle.SUFFIX and capabilities is None:
-        registry = bundle.read(mission).registry
-        if registry is None:
-            raise UsageError(
-                f"the program of {mission} names no capability: ask its deployment (.dL) instead"
-            )
-        return registry
-    added = capabilities or beside(mission, CAPABILITIES)
-    return read_registry(
-        mission=added,
-        agents=[agent.id for agent in team.deployed],
-        libraries=discover().capabilities,
-    )
+    if mission.suffix != bundle.SUFFIX:
+        registry, program = registry_of(mission, capabilities)
+        return registry, None if program is None else _open(registry, program)
+    built = bundle.read(mission)
+    if capabilities is not None:
+        agents = [agent.id for agent in team.deployed]
+        libraries = discover().capabilities
+        return read_registry(mission=capabilities, agents=agents, libraries=libraries), None
+    if built.registry is None:
+        raise UsageError(f"the program of {mission} names no capability: ask its deployment (.dL) instead")
+    return built.registry, _open(built.registry, built.program)
+
+
+def _open(registry: Registry, program: Program) -> Ways:
+    """The ways that the program was built with; of what it does not name those it would have."""
+    resources = [name for name, kind in program.units.items() if kind == "resource"]
+    return {**all_ways(registry, resources), **ways(program)}
 
 
 def from_files(registry: Registry, agents: Sequence[Deployed], at: str = "") -> Roster:
@@ -80,7 +95,8 @@ def from_hosts(
 ) -> Roster:
     """The agents as the running hosts know them; the `silent` ones have not answered.
 
-    Of each agent counts what the host `at` says, else what its own host says, else what any other does.
+    Of each agent counts what the host `at` says, as it does when a program asks there; without one what its
+    own host says, else what any other does.
     """
     found = (
         _candidate(registry, known, at, _view(known.agent, views, silent, at))
@@ -99,7 +115,7 @@ def views_of(answers: Answers[Status]) -> Views:
 
 
 def _view(agent: Deployed, views: Views, silent: Collection[str], at: str) -> Told:
-    for host in dict.fromkeys((at, agent.host, *views)):
+    for host in (at,) if at else dict.fromkeys((agent.host, *views)):
         told = views.get(host, {}).get(agent.id)
         if told is not None:
             return told

@@ -62,11 +62,11 @@ def run(args: argparse.Namespace) -> int:
 
     path = named_mission(args) or only_mission(meant_runs(args))
     team = open_team(path)
-    registry = mission_registry(path, team, args.capabilities)
+    registry, ways = mission_registry(path, team, args.capabilities)
     question = read_question(args.query, registry)
     at = team.lookup(args.at) if args.at else ""
     known = _known(args, team, registry, at)
-    matcher = Matcher(registry, known.team)
+    matcher = Matcher(registry, known.team, ways)
     answers = [_answer(matcher, primitive, question, args.team) for primitive in question.primitives]
     tell_silent(known.silent)
     if args.json:
@@ -91,17 +91,19 @@ def _answer(matcher: Matcher, primitive: Primitive, question: Question, size: in
 def _known(args: argparse.Namespace, team: Team, registry: Registry, at: str) -> Known:
     from lfield.cli.views.query_view import Known
     from lfield.errors import AddressError
-    from lfield.operator.ask import STATUS, ask_parties, by_host, silent
+    from lfield.operator.ask import ask_parties, by_host, patiently, silent
     from lfield.operator.query import from_files, from_hosts, views_of
 
     party = None if args.files else _only(meant_parties(args, meant_runs(args)))
-    answers = by_host(ask_parties([party], STATUS), party) if party else {}
+    answers = by_host(ask_parties([party], patiently()), party) if party else {}
     views, errors = views_of(answers), silent(answers)
     # Where nobody listens at all nothing runs, which is no problem; anything else is one.
     nobody = not views and all(isinstance(error, AddressError) for error in errors.values())
     told = {} if nobody else errors
     if not views:
         return Known(from_files(registry, team.deployed, at), silent=told)
+    if at in errors:
+        raise errors[at]
     return Known(from_hosts(registry, team.deployed, views, errors.keys(), at), tuple(views), told)
 
 

@@ -8,7 +8,7 @@ import re
 import pytest
 
 from lfield.cli.main import main
-from lfield.errors import AddressError, GreetingError
+from lfield.errors import AddressError, GreetingError, WireError
 from lfield.wire.observing import Status, Told, ToldFact
 
 CAPABILITIES = """\
@@ -331,3 +331,15 @@ def test_hosts_that_refuse_are_told(told):
 def test_hosts_cannot_write_to_the_terminal(told):
     _, out, _ = told({"alpha": directory(arm1=("\x1b[2J\x07 gone", {}))}, "Lift", "--explain")
     assert "  arm1: ·[2J· gone" in out
+
+
+def test_the_host_that_is_asked_answers_or_nobody_does(told):
+    """The others would answer something else: that a host is late must not change the answer."""
+    silent = WireError("bravo does not answer in time")
+    alpha = directory(arm1=("", {"battery": [0.5, 2.54]}), arm2=("unreachable for 3 s", {}))
+    status, out, err = told({"alpha": alpha, "bravo": silent}, "Lift", "--at", "bravo")
+    assert (status, out) == (WireError.exit_status, [])
+    assert "bravo does not answer in time" in err[0]
+    status, out, _ = told({"alpha": alpha, "bravo": silent}, "Lift", "--at", "alpha", "--explain")
+    assert status == 0
+    assert "  arm2: unreachable for 3 s" in out
