@@ -51,6 +51,9 @@ class Known:
         `untold` is the reason, with the name as `{}`, for a value that is neither told nor known to be none.
         """
         facts = {**told, **self.stated} if told else self.stated
+        if unknown:
+            # Of what need not be measured its type may say what is usual.
+            unknown = {name: why for name, why in unknown.items() if name in self.measured}
         lacking = [name for name in self.measured if name not in facts and name not in unknown]
         if lacking:
             unknown = {**{name: untold.format(name) for name in lacking}, **unknown}

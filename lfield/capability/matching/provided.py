@@ -36,6 +36,7 @@ class Provided:
         self._ranking = ranking
         self._live = {name: attribute.max_age for name, attribute in attributes.items() if attribute.live}
         self._way = ways.direct(provider.type)
+        self._own = served.attributes.keys()
         self._values: dict[str, Value] = {**provider.attributes, **served.attributes}
         nominal = served.nominal | (provider.nominal - served.attributes.keys())
         self._facts = {
@@ -80,7 +81,7 @@ class Provided:
         self._asked, self._counted, self._here = asked, counted, asked.here
 
     def _made(self, candidate: Candidate) -> Plan:
-        host, known, staleness = candidate.host, candidate.facts, 0.0
+        host, known, staleness = candidate.host, self._counting(candidate.facts), 0.0
         facts = {**self._facts, **known}
         values = {**self._values, "agent": candidate.agent, "robot": host, "host": host}
         unknown = dict(candidate.unknown)
@@ -109,6 +110,15 @@ class Provided:
             )
 
         return Plan(make, (cost, 0, (), (candidate.number,)), values, unknown)
+
+    def _counting(self, facts: Mapping[str, Fact]) -> Mapping[str, Fact]:
+        """What is said of a candidate, without what it tells of itself where this primitive says otherwise.
+
+        A copter goes 10 m/s, and what hangs on its winch does not.
+        """
+        if not any(fact.of == "told" for fact in facts.values()):
+            return facts
+        return {name: f for name, f in facts.items() if f.of != "told" or name not in self._own}
 
     def _useless(self, name: str, fact: Fact) -> dict[str, str]:
         """Why a live fact says nothing; {} when it does."""

@@ -66,16 +66,14 @@ class Sampler:
     def condition(self, agent: str, live: Mapping[str, Live]) -> Condition:
         """How an agent of this host is now; `live` are the attributes that it tells itself.
 
-        What its binding states counts before that. Of what need not be measured its type may say more.
+        What its binding states counts before that.
         """
         bound, trouble = self._bound.get(agent, {}), self._trouble(agent)
         if not live and not bound and trouble is None:
             return SILENCE
         found = {name: self._sample(agent, live[name]) for name in live if name not in bound}
         samples = {name: sample for name, sample in found.items() if isinstance(sample, Sample)}
-        unknown = {
-            name: why for name, why in found.items() if isinstance(why, str) and self._attributes[name].live
-        }
+        unknown = {name: why for name, why in found.items() if isinstance(why, str)}
         return Condition(trouble, {**samples, **bound}, unknown)
 
     def _trouble(self, agent: str) -> Trouble | None:
