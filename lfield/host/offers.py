@@ -81,7 +81,7 @@ class Answers:
     def teams(self, capability: str, constraint: str | None, size: int) -> list[list[Found]]:
         """Teams of so many that have no agent in common, best first. Raises what `offers` does."""
         if size < 1:
-            raise ConstraintError(str(size), ["a team has one member at least"])
+            raise ConstraintError(f"a team of {size}", ["a team has one member at least"])
         answer = self._matcher.teams(capability, size, self._compiled(constraint))
         note = "; ".join(answer.notes)
         if note and not answer.teams:

@@ -30,6 +30,7 @@ FIGURES = {
     "find": "capability.find",
     "growth": "capability.growth",
     "compositions": "capability.compositions",
+    "rankings": "capability.rankings",
     "directory": "capability.directory",
     "traffic": "team.traffic",
     "leases": "team.leases",

@@ -140,7 +140,7 @@ class Explanation:
             yield Refusal(rule.name, ("it would be a part of itself",))
             return
         plans = search.composed(assembly, place.left - 1, place.used, _taken_apart(place.asked))
-        offered = len(list(islice(plans, search.limits.per_rule + 1)))
+        offered = sum(plans.at(number) is not None for number in range(search.limits.per_rule + 1))
         notes = self._notes(rule.name, offered, place)
         if offered:
             yield from [Refusal(rule.name, notes)] if notes else []

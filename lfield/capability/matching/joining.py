@@ -35,11 +35,10 @@ class Stream:
             self._made.append(plan)
         return self._made[index]
 
-    def __iter__(self) -> Iterator[Plan]:
-        index = 0
-        while (plan := self.at(index)) is not None:
-            yield plan
-            index += 1
+    def all(self) -> list[Plan]:
+        """All of them."""
+        self._made.extend(self._rest)
+        return self._made
 
 
 @dataclass(slots=True)
@@ -215,7 +214,7 @@ class Combinations:
                     (join.left_value, join.right_value) if left else (join.right_value, join.left_value)
                 )
                 other = join.right if left else join.left
-                found.append((before.index(other), judge, _index(self._parts[part], own)))
+                found.append((before.index(other), judge, _index(self._parts[part].all(), own)))
         return found
 
     def _candidates(self, chosen: Sequence[Plan]) -> Sequence[int] | None:
@@ -238,8 +237,8 @@ class Combinations:
                     (join.left, join.left_value, join.right, join.right_value),
                     (join.right, join.right_value, join.left, join.left_value),
                 ):
-                    there = {v for plan in self._parts[other] for v in _members(value(plan.values))}
-                    plans = list(self._parts[part])
+                    there = {v for plan in self._parts[other].all() for v in _members(value(plan.values))}
+                    plans = self._parts[part].all()
                     kept = [plan for plan in plans if not there.isdisjoint(_members(own(plan.values)))]
                     if len(kept) < len(plans):
                         self._parts[part] = Stream(kept)

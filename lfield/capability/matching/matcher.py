@@ -137,7 +137,7 @@ class Matcher:
                 found.append([plan.offer for plan in team])
         except GivenUp:
             more = True
-        agents = len(_agents(members))
+        agents = len(_agents(members.all()))
         return Teams(found, agents, tuple(sorted(search.cut)), more)
 
     def agents(self, primitive: str, wish: Wish = ANYBODY) -> int:

@@ -80,10 +80,12 @@ class _Narrowing:
         self._found = _Asked([[*_conjuncts(need.when)] for need in rule.needs.values()])
 
     def narrowed(self, asked: Sequence[Expression]) -> list[Narrowed]:
-        """One for each way to tell who of the parts is meant."""
+        """One for each way to tell who of the parts is meant; none where no whole can be what is asked."""
         for conjunct in (c for where in self._rule.where for c in conjuncts(where)):
             self._of_whole(conjunct)
         for conjunct in asked:
+            if self._is_unknown(conjunct.tree):
+                return []
             self._of_whole(conjunct)
         found = self._found
         base = Narrowed(
@@ -109,6 +111,15 @@ class _Narrowing:
             return
         for piece in _pieces(tree):
             self._piece(piece)
+
+    def _is_unknown(self, tree: condition.Expr) -> bool:
+        """Whether a condition on a whole is never known, since the rule does not say what it looks at."""
+        match tree:
+            case condition.Unary(operand=operand):
+                return self._is_unknown(operand)
+            case condition.Binary(operator="&&" | "||", left=left, right=right):
+                return self._is_unknown(left) and self._is_unknown(right)
+        return any(name not in self._rule.attributes and name not in IDENTITY for name in named(tree))
 
     def _worth(self, tree: condition.Name | condition.Member) -> condition.Expr:
         """What the rule says an attribute of the whole is worth."""

@@ -5,9 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from functools import partial
 
 from lfield.capability import ways
-from lfield.capability.matching.evaluate import conjuncts, evaluator
+from lfield.capability.matching.evaluate import Facts, conjuncts, evaluator
 from lfield.capability.matching.plan import Plan, fulfilling
 from lfield.capability.matching.ranking import AGENT, Ranking
 from lfield.capability.matching.reasons import reasons
@@ -95,20 +96,7 @@ class Provided:
             facts.pop(name, None)
             values.pop(name, None)
         cost, amounts = self._ranking.agent(self.primitive, values, candidate.hops, staleness, self._here)
-
-        def make() -> Offer:
-            return Offer(
-                self.primitive,
-                "direct",
-                self._way,
-                candidate.agent,
-                host,
-                cost,
-                facts,
-                terms=self._ranking.terms(AGENT, amounts),
-                penalties=self._ranking.penalties(self.primitive, values),
-            )
-
+        make = partial(self._offer, candidate, facts, values, cost, amounts)
         return Plan(make, (cost, 0, (), (candidate.number,)), values, unknown)
 
     def _counting(self, facts: Mapping[str, Fact]) -> Mapping[str, Fact]:
@@ -119,6 +107,26 @@ class Provided:
         if not any(fact.of == "told" for fact in facts.values()):
             return facts
         return {name: f for name, f in facts.items() if f.of != "told" or name not in self._own}
+
+    def _offer(
+        self,
+        candidate: Candidate,
+        facts: Mapping[str, Fact],
+        values: Facts,
+        cost: float,
+        amounts: tuple[float, ...],
+    ) -> Offer:
+        return Offer(
+            self.primitive,
+            "direct",
+            self._way,
+            candidate.agent,
+            candidate.host,
+            cost,
+            facts,
+            terms=self._ranking.terms(AGENT, amounts),
+            penalties=self._ranking.penalties(self.primitive, values),
+        )
 
     def _useless(self, name: str, fact: Fact) -> dict[str, str]:
         """Why a live fact says nothing; {} when it does."""

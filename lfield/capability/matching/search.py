@@ -15,7 +15,6 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import chain as joined
 from itertools import islice
-from operator import attrgetter
 
 from lfield.capability.matching.assembly import Assembly
 from lfield.capability.matching.evaluate import Judge, conjuncts, evaluator, names
@@ -113,7 +112,9 @@ class Search:
                 provided.plans(self.candidates(provided.type), self.asked)
                 for provided in self.rules.providers(primitive)
             ]
-            self._agents[primitive] = sorted(joined(*found), key=attrgetter("rank"))
+            # In the order of the deployment first: of equal cost that counts, and types are in it already.
+            plans = found[0] if len(found) == 1 else sorted(joined(*found), key=_number)
+            self._agents[primitive] = sorted(plans, key=_cost)
         return self._agents[primitive]
 
     def plans(self) -> Iterator[Plan]:
@@ -138,8 +139,9 @@ class Search:
         found = 0
         for way in self._ways(self.primitive, self.limits.depth, NOTHING):
             if way.assembly is None:
-                conditions = judges((*_asked(way.chain), *self.wishes))
-                found += sum(1 for _ in fulfilling(self.agents(_end(way.chain, self.primitive)), conditions))
+                agents, asked = self.agents(_end(way.chain, self.primitive)), _asked(way.chain)
+                plans = fulfilling(agents, judges((*asked, *self.wishes)))
+                found += sum(1 for _ in plans) if asked or self.wishes else len(agents)
             else:
                 plans = self._plans(way, self.primitive, self.limits.depth, NOTHING, self.wishes)
                 wholes.setdefault(way.assembly.rule.name, []).append(plans)
@@ -211,7 +213,7 @@ class Search:
             (0.0, self._branch(assembly, narrowed, depth, used | {assembly.rule.name}, effort))
             for narrowed in assembly.narrowed(wishes)
         ]
-        yield from branches[0][1] if len(branches) == 1 else _merged(branches)
+        yield from _merged(branches)
 
     def _branch(
         self, assembly: Assembly, narrowed: Narrowed, depth: int, used: Used, effort: Effort
@@ -260,7 +262,7 @@ class Search:
         if way.assembly is None:
             behind = fulfilling(self.agents(_end(way.chain, primitive)), judges(asked))
         else:
-            behind = self.composed(way.assembly, depth - len(way.chain) - 1, used, asked)
+            behind = _each(self.composed(way.assembly, depth - len(way.chain) - 1, used, asked))
         for plan in behind:
             for rule in reversed(way.chain):
                 plan = standing_in(rule, plan, self.rules.ranking)
@@ -287,12 +289,32 @@ def _end(chain: Chain, primitive: str) -> str:
     return chain[-1].by if chain else primitive
 
 
+def _cost(plan: Plan) -> float:
+    return plan.rank[0]
+
+
+def _number(plan: Plan) -> int:
+    number: int = plan.rank[3][0]
+    return number
+
+
+def _each(stream: Stream) -> Iterator[Plan]:
+    """The plans of a stream, as they are asked for."""
+    number = 0
+    while (plan := stream.at(number)) is not None:
+        yield plan
+        number += 1
+
+
 def _merged(streams: Iterable[tuple[float, Iterator[Plan]]]) -> Iterator[Plan]:
     """The plans of ordered streams in the order of their ranks; of equal ones the earlier stream's first.
 
     A stream that is not begun waits with the least that its plans can cost.
     """
     started = list(streams)
+    if len(started) == 1:
+        yield from started[0][1]
+        return
     waiting: list[tuple[Rank | tuple[float], int, Plan | None]] = [
         ((bound,), number, None) for number, (bound, _) in enumerate(started)
     ]

@@ -52,6 +52,9 @@ class _Team:
     def candidates(self, resource: str) -> Sequence[Candidate]:
         return [member for member in self.members if member.type == resource]
 
+    def here(self) -> None:
+        """Nobody knows where is asked."""
+
 
 def searching(compositions: float) -> Opener:
     """All primitives, with a condition and with one that nobody fulfils."""

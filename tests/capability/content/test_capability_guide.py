@@ -12,8 +12,10 @@ import pytest
 from shipped_registry import REGISTRY
 
 from lfield.capability import units
+from lfield.capability.condition_reader import MAX_LIMIT
 from lfield.capability.matching.expression import compile_constraint
 from lfield.capability.matching.matcher import Matcher
+from lfield.capability.matching.ranking import formula
 from lfield.capability.matching.search import Limits
 from lfield.capability.model import Registry
 from lfield.capability.offer import Candidate, Fact
@@ -100,6 +102,9 @@ def test_the_walk_through_gives_the_answers_it_says(tmp_path: Path) -> None:
     assert {offer.way for offer in matcher.offers("FollowPath")} == {"of_point_by_point"}
 
 
+TERMS = ("fitness", "loss", "part", "hop", "near", "age")
+
+
 def test_the_figures_of_the_guide_are_those_of_the_registry() -> None:
     assert f"{len(REGISTRY.primitives)} primitives" in GUIDE
     numbers = ("", "one", "two", "three", "four", "five")
@@ -107,8 +112,18 @@ def test_the_figures_of_the_guide_are_those_of_the_registry() -> None:
     assert f"to a depth of {numbers[limits.depth]}" in GUIDE
     assert ("the best sixteen combinations" in GUIDE) == (limits.per_rule == 16)
     weights = REGISTRY.weights
-    said = "The weights are `fitness` {:g}, `loss` {:g}, `part` {:g}, `hop` {:g} and `age` {:g}."
-    assert said.format(weights.fitness, weights.loss, weights.part, weights.hop, weights.age) in GUIDE
+    *terms, last = [f"`{name}` {getattr(weights, name):g}" for name in TERMS]
+    said = f"The weights are {', '.join(terms)} and {last}, and `nearby` is {weights.nearby:g} m."
+    assert said in " ".join(GUIDE.split())
+    assert limits.combinations == 1000
+    assert "a thousand in vain at most" in GUIDE
+    assert "32 unless the question says how many" in GUIDE
+    assert limits.offers == 32
+    assert f"from 1 to {MAX_LIMIT}" in GUIDE
+
+
+def test_the_formula_of_the_guide_is_that_of_the_code() -> None:
+    assert f"```text drawing\n{formula()}\n```" in GUIDE
 
 
 def test_the_units_of_the_guide_are_known() -> None:

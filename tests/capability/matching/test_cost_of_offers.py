@@ -10,7 +10,7 @@ from small_registry import Crew, candidate, composition, equivalence, provider, 
 
 from lfield.capability.matching.matcher import Matcher
 from lfield.capability.model import Registry, Weights
-from lfield.capability.offer import Candidate, Fact
+from lfield.capability.offer import Candidate, Fact, Offer
 
 CRANE = provider("Crane", ["Lift"], payload=6.0)
 QUIET = provider("Quiet", ["Lift"], payload=2.0, noise=1.0)
@@ -93,6 +93,74 @@ def test_ties_go_to_fewer_rules_then_names_then_the_deployment() -> None:
         *("byB b1", "byA a2", "byA a1"),
         *("as_x a2", "as_x a1", "as_y a2", "as_y a1"),
     ]
+
+
+def test_of_equal_cost_one_rule_goes_before_two_whatever_they_are_called() -> None:
+    types = [provider("A", ["Climb"]), provider("B", ["Step"])]
+    rules = [
+        equivalence("z", "Lift", "Climb"),
+        equivalence("a", "Lift", "Reach"),
+        equivalence("b", "Reach", "Step"),
+    ]
+    crew = Crew(candidate("two", "B"), candidate("one", "A"))
+    offers = Matcher(registry(*types, *rules), crew).offers("Lift")
+    assert [offer.agent for offer in offers] == ["one", "two"]
+
+
+def test_of_wholes_that_cost_the_same_the_better_first_part_goes_first() -> None:
+    parts = provider("Part", ["Grip", "Climb"])
+    both = composition("both", "Lift", {"a": "Grip", "b": "Climb"}, distinct=("a", "b"))
+    crew = Crew(candidate("good", "Part", payload=6.0), candidate("bad", "Part", payload=0.5))
+    offers = Matcher(registry(parts, both), Crew(*reversed(crew.members))).offers("Lift")
+    assert [offer.agent for offer in offers] == ["good+bad", "bad+good"]
+    assert offers[0].cost == offers[1].cost
+
+
+def test_nearness_counts_where_the_asker_is_known() -> None:
+    at = {"east": 0.0, "down": -2.0}
+    team = [candidate("far", "Crane", north=150.0, **at), candidate("near", "Crane", north=0.0, **at)]
+    team += [candidate("lost", "Crane"), candidate("flat", "Crane", north=50.0, east=0.0)]
+    base = 2 / (2 + 6) + 0.1
+    assert set(costs(registry(CRANE), *team).values()) == {base}
+    offers = Matcher(registry(CRANE), Crew(*team, place=(0.0, 0.0, -2.0))).offers("Lift")
+    found = {offer.agent: pytest.approx(offer.cost - base) for offer in offers}
+    assert found == {"near": 0.0, "flat": 0.2 * 0.5, "lost": 0.2 * 0.5, "far": 0.2 * 0.75}
+    assert [offer.agent for offer in offers] == ["near", "lost", "flat", "far"]
+
+
+def test_who_never_serves_does_not_count() -> None:
+    """Nor does what is stated of agents of other types, or of types that nobody is of."""
+    gripping = provider("Quiet", ["Lift"], when="power == cable", noise=1.0)
+    other = provider("Nobody", ["Lift"], reach=1.0)
+    made = registry(CRANE, gripping, other, provider("Elsewhere", ["Climb"], noise=3.0))
+    crane = candidate("x", "Crane", hops=0)
+    for team in ([crane], [crane, candidate("q", "Quiet")], [crane, candidate("e", "Elsewhere", reach=2.0)]):
+        assert costs(made, *team)["x"] == pytest.approx(0.25)
+    quiet = candidate("q", "Quiet", power="cable")
+    assert costs(made, crane, quiet)["x"] == pytest.approx((0.25 + 0.5) / 2)
+    lost = candidate("q", "Quiet", power="cable", refusal="unreachable for 12 s")
+    assert costs(made, crane, lost)["x"] == pytest.approx((0.25 + 0.5) / 2)
+
+
+def test_the_terms_of_a_cost_are_the_cost() -> None:
+    parts = provider("Part", ["Grip", "Climb"], payload=2.0, noise=1.0)
+    both = composition("both", "Reach", {"a": "Grip", "b": "Climb"}, loss=0.5)
+    crew = Crew(candidate("x", "Part", battery=Fact(1.0, 4.0), north=3.0, east=4.0), place=(0.0, 0.0, None))
+    matcher = Matcher(registry(parts, both, equivalence("one", "Lift", "Reach", loss=0.25)), crew)
+    (offer,) = matcher.offers("Lift", wish("payload > 1 || battery > 0.5 || true"))
+
+    def check(one: Offer) -> None:
+        terms = sum(term.weight * term.amount for term in one.terms)
+        assert one.cost == pytest.approx(terms + sum(part.cost for part in one.parts.values()))
+        for part in one.parts.values():
+            check(part)
+
+    check(offer)
+    (whole,) = offer.parts.values()
+    grip = whole.parts["of_both_a"]
+    assert [term.name for term in grip.terms] == ["fitness", "hop", "near", "age"]
+    assert grip.terms[0].amount == pytest.approx(sum(p.share * p.penalty for p in grip.penalties))
+    assert grip.terms[2].amount == pytest.approx(5 / 55)
 
 
 def test_the_order_of_the_registry_makes_no_difference() -> None:

@@ -1,0 +1,218 @@
+"""How often the best offer stays the best when only what is irrelevant changes, and how a find grows.
+
+Irrelevant to who lifts best is what types state that nobody is of, what agents state that do not lift, and
+what no offer is better by. Each team is drawn once, all that is irrelevant again and again.
+"""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from harness.checkout import Checkout
+from harness.figure import Figure
+from harness.processes import Processes
+from harness.samples import Contender, median, timed
+from harness.words import PERCENT, TIMES
+
+from lfield.capability.matching.expression import Scope, check, compile_wish, parse
+from lfield.capability.matching.matcher import Matcher
+from lfield.capability.model import (
+    Attribute,
+    Composition,
+    Equivalence,
+    Expression,
+    Need,
+    Primitive,
+    Provider,
+    Registry,
+    Served,
+    Value,
+)
+from lfield.capability.offer import Candidate, Fact, Offer
+
+TEAMS, SEEDS = 100, 20
+SIZES = (10, 100, 1000, 3000)
+SAME = "the best stays the best"
+
+_RELEVANT, _IRRELEVANT = ("payload", "reach", "noise"), ("length", "width", "colour", "wheels")
+_ATTRIBUTES = {
+    name: Attribute(name, "real", better=better, typical=2.0)
+    for name, better in (
+        *((name, "more") for name in ("payload", "reach", "length", "width")),
+        *((name, "less") for name in ("noise", "wheels")),
+        ("colour", "none"),
+    )
+} | {
+    "battery": Attribute("battery", "real", better="more", live=True, max_age=10.0),
+    "slot": Attribute("slot", "int"),
+}
+
+
+class _Team:
+    """Agents by their types."""
+
+    def __init__(self, members: Sequence[Candidate]) -> None:
+        self.by_type: dict[str, list[Candidate]] = {}
+        for number, member in enumerate(members):
+            self.by_type.setdefault(member.type, []).append(replace(member, number=number))
+
+    def candidates(self, resource: str) -> Sequence[Candidate]:
+        return self.by_type.get(resource, ())
+
+    def here(self) -> None:
+        """Nobody knows where is asked."""
+
+
+def _registry(
+    providers: Sequence[Provider], *rules: Equivalence | Composition, **agents: dict[str, Value]
+) -> Registry:
+    return Registry(
+        terms={},
+        attributes=_ATTRIBUTES,
+        primitives={name: Primitive(name, name, {}) for name in ("Lift", "Climb", "Grip", "Haul")},
+        providers={provider.type: provider for provider in providers},
+        equivalences={rule.name: rule for rule in rules if isinstance(rule, Equivalence)},
+        compositions={rule.name: rule for rule in rules if isinstance(rule, Composition)},
+        agents=agents,
+    )
+
+
+# --- stability ----------------------------------------------------------------------------------------
+
+
+def _best(team: int, seed: int) -> str:
+    """Who lifts best in a team, beside what is irrelevant and drawn by the seed."""
+    drawn, other = random.Random(team), random.Random(f"{team} {seed}")
+    lifting = [_provider(f"T{i}", "Lift", _RELEVANT, drawn) for i in range(3)]
+    members = [Candidate(f"a{i}", f"T{i % 3}", f"h{i}", drawn.randint(0, 1)) for i in range(8)]
+    beside = [_provider(f"N{i}", "Lift", _IRRELEVANT, other) for i in range(other.randint(0, 4))]
+    beside += [_provider("Far", "Climb", (*_RELEVANT, *_IRRELEVANT), other)]
+    far = {f"f{i}": _facts(_IRRELEVANT, other) for i in range(4)}
+    members += [Candidate(name, "Far", "far", 1) for name in far]
+    stands_in = Equivalence("climbs", "Lift", "Climb", {}, loss=1.0)
+    made = _registry([*lifting, *beside], stands_in, **far)
+    return _found(Matcher(made, _Team(members)))[0].agent
+
+
+def _found(matcher: Matcher) -> Sequence[Offer]:
+    return matcher.offers("Lift")
+
+
+def _provider(type: str, serves: str, names: Sequence[str], drawn: random.Random) -> Provider:
+    return Provider(type, {serves: Served(serves, {})}, attributes=_facts(names, drawn))
+
+
+def _facts(names: Sequence[str], drawn: random.Random) -> dict[str, Value]:
+    return {name: drawn.uniform(0.1, 9.0) for name in drawn.sample(list(names), drawn.randint(1, len(names)))}
+
+
+def stability(checkout: Checkout, processes: Processes) -> Contender:
+    """Per cent of the teams and seeds."""
+
+    def measure() -> dict[str, list[float]]:
+        bests = [[_best(team, seed) for seed in range(SEEDS)] for team in range(TEAMS)]
+        same = sum(best == team[0] for team in bests for best in team)
+        return {SAME: [100.0 * same / (TEAMS * SEEDS)]}
+
+    return measure
+
+
+# --- growth -------------------------------------------------------------------------------------------
+
+
+def _over_parts(text: str, parts: Sequence[str]) -> Expression:
+    expression, _ = parse(text)
+    assert expression is not None
+    assert not check(expression, Scope.of_parts(_ATTRIBUTES, parts), "any")
+    return expression
+
+
+def _composed(name: str, parts: dict[str, str], where: str) -> Composition:
+    needs = {part: Need(part, primitive) for part, primitive in parts.items()}
+    return Composition(
+        name, "Haul", needs, "Through", Path("through.L"), where=(_over_parts(where, list(parts)),)
+    )
+
+
+_TWO = _composed("two", {"a": "Lift", "b": "Climb"}, "a.slot == b.slot")
+_THREE = _composed("three", {"a": "Lift", "b": "Climb", "c": "Grip"}, "a.slot == b.slot && b.slot == c.slot")
+_TYPES = (("Fork", "Lift"), ("Cart", "Climb"), ("Hand", "Grip"))
+_STANDS_IN = Equivalence("lifts", "Haul", "Lift", {}, loss=0.1)
+_GROWN = {
+    "direct": ("Lift", (), ""),
+    "direct, on a condition": ("Lift", (), "payload >= 3 && battery > 0.2"),
+    "equivalent": ("Haul", (_STANDS_IN,), ""),
+    "composed of two": ("Haul", (_TWO,), ""),
+    "composed of three": ("Haul", (_THREE,), ""),
+    "by an order": ("Lift", (), "order by payload desc"),
+    "teams of two": ("Lift", (), ""),
+}
+
+
+def _members(count: int, age: float) -> list[Candidate]:
+    drawn = random.Random(1)
+    return [
+        Candidate(
+            f"a{i}",
+            _TYPES[i % 3][0],
+            f"h{i}",
+            1,
+            facts={
+                "payload": Fact(drawn.uniform(0.5, 9.0)),
+                "slot": Fact(i // 3),
+                "battery": Fact(drawn.uniform(0.1, 0.9), age),
+            },
+        )
+        for i in range(count)
+    ]
+
+
+def growing(case: str, lively: bool) -> Contender:
+    """The seconds of a question in teams of all sizes, and what ten times the agents cost."""
+    primitive, rules, text = _GROWN[case]
+    made = _registry([Provider(t, {p: Served(p, {})}) for t, p in _TYPES], *rules)
+    wish = compile_wish(text, _ATTRIBUTES) if text else None
+
+    def ask(count: int) -> list[float]:
+        teams = [_Team(_members(count, 0.1 * turn)) for turn in range(8)]
+        team = _Team([])
+        team.by_type = teams[0].by_type
+        matcher = Matcher(made, team)
+        asked = [matcher.teams, primitive, 2] if case == "teams of two" else [matcher.find, primitive]
+        times = []
+        for turn in teams:
+            if lively:
+                team.by_type = turn.by_type
+            times.append(timed(lambda: asked[0](*asked[1:], *([wish] if wish else []))))
+        return times[1:]
+
+    def measure() -> dict[str, list[float]]:
+        rows = {f"{count} agents": ask(count) for count in SIZES}
+        grown = [
+            median(rows[f"{10 * count} agents"]) / median(rows[f"{count} agents"]) for count in (10, 100)
+        ]
+        return {**rows, TENFOLD: grown}
+
+    return measure
+
+
+TENFOLD = "ten times the agents"
+
+FIGURE = Figure(
+    "Who is found among many",
+    {
+        "irrelevant attributes": stability,
+        **{
+            f"{case}, {how}": lambda _c, _p, case=case, how=how: growing(case, how == "lively")
+            for case in _GROWN
+            for how in ("still", "lively")
+        },
+    },
+    rounds=2,
+    units={SAME: PERCENT, TENFOLD: TIMES},
+    targets={SAME: "100.00 %", TENFOLD: "15.00x", "direct, lively": "5.0 ms"},
+    notes=(f"{TEAMS} teams, each beside {SEEDS} draws of what is irrelevant",),
+)

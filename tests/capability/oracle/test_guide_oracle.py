@@ -1,0 +1,132 @@
+"""300 random registries and teams: who is found, in which order, with which score, as the guide says."""
+
+from __future__ import annotations
+
+import json
+import random
+from pathlib import Path
+from typing import Any
+
+import pytest
+from guide_oracle import Oracle, Way
+from guide_worlds import ATTRIBUTES, PRIMITIVES, Asked, World, question, world, written
+
+from lfield.capability.matching.expression import compile_wish
+from lfield.capability.matching.matcher import Matcher
+from lfield.capability.model import ANYBODY, Registry
+from lfield.capability.offer import Offer
+from lfield.capability.reading.reader import check_files
+from lfield.operator.query import from_hosts
+from lfield.wire.observing import Told, ToldFact
+
+WORLDS, QUESTIONS = 300, 5
+
+
+class Deployed:
+    """An agent of the deployment."""
+
+    def __init__(self, id: str, type: str, host: str) -> None:
+        self.id, self.type, self.host = id, type, host
+
+
+def document(made: World) -> dict[str, Any]:
+    """The world as a registry file has it."""
+    portals = {"go": {}}
+    providers = {}
+    for type, said in made.providers.items():
+        served = {
+            primitive: {k: written(v) if k == "when" else v for k, v in how.items()}
+            for primitive, how in said["serves"].items()
+        }
+        live = {attribute: f"d.{attribute}" for attribute in said["live"]}
+        providers[type] = {"attributes": said["attributes"], "live": live, "serves": served}
+    rules: dict[str, Any] = {}
+    for name, said in made.one_to_one.items():
+        rules[name] = {k: written(v) if k == "when" else v for k, v in said.items()}
+    for name, said in made.one_to_many.items():
+        needs = {
+            part: need["capability"]
+            if need["when"] is None
+            else {"capability": need["capability"], "when": written(need["when"])}
+            for part, need in said["needs"].items()
+        }
+        worth = {attribute: written(tree) for attribute, tree in said["attributes"].items()}
+        where = [written(tree) for tree in said["where"]]
+        rules[name] = {**said, "needs": needs, "attributes": worth, "where": where}
+        rules[name] |= {"through": "Together", "source": "together.L"}
+    return {
+        "registry": 1,
+        "taxonomy": {
+            "skill": {"meaning": "all"},
+            **{f"skill.{p.lower()}": {"meaning": p} for p in PRIMITIVES},
+        },
+        "attributes": ATTRIBUTES,
+        "primitives": {p: {"id": f"skill.{p.lower()}", "portals": portals} for p in PRIMITIVES},
+        "providers": providers,
+        "equivalences": rules,
+        "agents": made.agents,
+        "ranking": made.ranking,
+    }
+
+
+def registry_of(made: World, folder: Path) -> Registry | None:
+    """The registry as lfield reads it; None where a rule leads back to itself."""
+    (folder / "together.L").write_text("", encoding="utf-8")
+    path = folder / "world.yaml"
+    path.write_text(json.dumps(document(made)), encoding="utf-8")
+    registry, found = check_files([path])
+    assert {d.code for d in found} <= {"C152"}, "\n".join(d.render() for d in found)
+    return registry
+
+
+def drawn(seed: int, folder: Path) -> tuple[World, Registry, random.Random]:
+    """A world whose registry is none that is refused."""
+    dice = random.Random(seed)
+    while True:
+        made = world(dice)
+        registry = registry_of(made, folder)
+        if registry is not None:
+            return made, registry, dice
+
+
+def matcher_of(made: World, registry: Registry, host: str) -> Matcher:
+    deployed = [Deployed(*member) for member in made.team]
+    told = {
+        name: Told(
+            name,
+            made.refused.get(name, ""),
+            {n: ToldFact(value, age) for n, (value, age) in made.told[name].items()},
+            {},
+        )
+        for name, *_ in made.team
+    }
+    return Matcher(registry, from_hosts(registry, deployed, {host: told}, (), host))
+
+
+def tree_of(offer: Offer) -> str:
+    return f"{offer.rule}({','.join(map(tree_of, offer.parts.values()))})" if offer.parts else offer.agent
+
+
+def shown(ways: list[Way]) -> list[tuple[str, Any]]:
+    return [(way.tree, pytest.approx(way.score, abs=1e-9)) for way in ways]
+
+
+@pytest.mark.parametrize("seed", range(WORLDS))
+def test_the_search_does_what_the_guide_says(seed: int, tmp_path: Path) -> None:
+    made, registry, dice = drawn(seed, tmp_path)
+    for _ in range(QUESTIONS):
+        asked = question(made, dice)
+        compare(made, registry, asked)
+
+
+def compare(made: World, registry: Registry, asked: Asked) -> None:
+    oracle, matcher = Oracle(made, asked), matcher_of(made, registry, asked.host)
+    wish = compile_wish(asked.text, registry.attributes) if asked.text else ANYBODY
+    answer = matcher.find(asked.primitive, wish)
+    assert [(tree_of(offer), offer.score) for offer in answer.offers] == shown(oracle.offers())
+    assert (answer.count, answer.cut) == (len(oracle.everybody()), ())
+    teams = matcher.teams(asked.primitive, asked.size, wish)
+    assert [[(tree_of(o), o.score) for o in team] for team in teams.teams] == [
+        shown(list(team)) for team in oracle.teams()
+    ]
+    assert teams.agents == len(frozenset[str]().union(*(way.agents for way in oracle.everybody())))
