@@ -30,6 +30,7 @@ from lfield.capability.model import (
     Registry,
     Served,
     Value,
+    Weights,
 )
 from lfield.capability.offer import Candidate, Fact, Offer
 
@@ -86,14 +87,15 @@ def _registry(
 def _best(team: int, seed: int) -> str:
     """Who lifts best in a team, beside what is irrelevant and drawn by the seed."""
     drawn, other = random.Random(team), random.Random(f"{team} {seed}")
-    lifting = [_provider(f"T{i}", "Lift", _RELEVANT, drawn) for i in range(3)]
-    members = [Candidate(f"a{i}", f"T{i % 3}", f"h{i}", drawn.randint(0, 1)) for i in range(8)]
-    beside = [_provider(f"N{i}", "Lift", _IRRELEVANT, other) for i in range(other.randint(0, 4))]
-    beside += [_provider("Far", "Climb", (*_RELEVANT, *_IRRELEVANT), other)]
-    far = {f"f{i}": _facts(_IRRELEVANT, other) for i in range(4)}
-    members += [Candidate(name, "Far", "far", 1) for name in far]
-    stands_in = Equivalence("climbs", "Lift", "Climb", {}, loss=1.0)
-    made = _registry([*lifting, *beside], stands_in, **far)
+    types = [_provider(f"T{i}", "Lift" if i % 2 else "Climb", _RELEVANT, drawn) for i in range(8)]
+    members = [Candidate(f"a{i}", f"T{i}", f"h{i}", drawn.randint(0, 1)) for i in range(8)]
+    stands_in = Equivalence("climbs", "Lift", "Climb", {}, loss=0.02)
+    beside = [_provider(f"N{i}", other.choice(["Lift", "Climb"]), _IRRELEVANT, other) for i in range(4)]
+    grips = {f"g{i}": _facts(_IRRELEVANT, other) for i in range(2)}
+    beside.append(_provider("Hand", "Grip", _RELEVANT, other))
+    members += [Candidate(name, "Hand", "far", 1) for name in grips]
+    weights = Weights(hop=drawn.choice([0.03, 0.1]))
+    made = replace(_registry([*types, *beside], stands_in, **grips), weights=weights)
     return _found(Matcher(made, _Team(members)))[0].agent
 
 
@@ -106,7 +108,7 @@ def _provider(type: str, serves: str, names: Sequence[str], drawn: random.Random
 
 
 def _facts(names: Sequence[str], drawn: random.Random) -> dict[str, Value]:
-    return {name: drawn.uniform(0.1, 9.0) for name in drawn.sample(list(names), drawn.randint(1, len(names)))}
+    return {name: drawn.uniform(1.0, 4.0) for name in drawn.sample(list(names), drawn.randint(1, len(names)))}
 
 
 def stability(checkout: Checkout, processes: Processes) -> Contender:
