@@ -61,7 +61,7 @@ class Provided:
         if self._when is None:
             return ()
         plan = self.plan(candidate, asked)
-        return reasons(self._when, plan.values, plan.why)
+        return reasons(self._when, plan.values, plan.why, plan.source)
 
     def plan(self, candidate: Candidate, asked: Asked) -> Plan:
         """What a candidate would be, made anew only when something about it changed."""
@@ -104,7 +104,7 @@ class Provided:
 
         A copter goes 10 m/s, and what hangs on its winch does not.
         """
-        if not any(fact.of == "told" for fact in facts.values()):
+        if not self._own:
             return facts
         return {name: f for name, f in facts.items() if f.of != "told" or name not in self._own}
 
