@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
@@ -186,21 +185,6 @@ def _registry_types(mission: Path | None, deploy: Path | None, plugins: Plugins)
         return RegistryTypes(read)
     whole = read()
     return RegistryTypes(lambda: whole, own=mission)
-
-
-def registry_of(deploy: Path, capabilities: Path | None = None) -> tuple[Registry, Program | None]:
-    """The registry of a deployment as its hosts have it, and its program; None where none can be compiled.
-
-    What is wrong with the program `lfield check` says. Raises ProgramError, InputFileError for the registry.
-    """
-    plugins = discover()
-    types = _registry_types(capabilities or beside(deploy, CAPABILITIES), deploy, plugins)
-    registry, source = types.registry, beside(deploy, ".L")
-    if source is not None:
-        with suppress(ProgramError):
-            program = compile_file(source, plugins, types)[0]
-            return _settled(registry, program, plugins), program
-    return registry, None
 
 
 def _settled(registry: Registry, program: Program, plugins: Plugins) -> Registry:

@@ -3,18 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
 from pathlib import Path
+from types import MappingProxyType
 
 from lfield.bytecode.program import Program
 from lfield.capability.directory.showing import Deployed, Known, known_agents, place_of
-from lfield.capability.model import Attribute, Registry
+from lfield.capability.model import Attribute, Registry, Value
 from lfield.capability.offer import Candidate, Fact, Place
 from lfield.capability.reading.reader import read_registry
 from lfield.capability.types.generate import all_ways
 from lfield.driver.plugins import discover
-from lfield.errors import LfieldError, UsageError
+from lfield.errors import BindingError, InputFileError, LfieldError, ProgramError, UsageError
 from lfield.mission import bundle
-from lfield.mission.load import registry_of
+from lfield.mission.bindings import Stated
+from lfield.mission.load import CAPABILITIES, beside, load_mission
+from lfield.mission.mission import Mission
 from lfield.mission.team import Team
 from lfield.operator.ask import Answers
 from lfield.vm.offers import ways
@@ -46,45 +51,65 @@ class Roster:
         return self._by_type.get(resource, ())
 
 
-#: For each primitive the ways by which it is served, as a matcher wants them; None for all.
-Ways = Mapping[str, Collection[str]]
+@dataclass(frozen=True, slots=True)
+class Asked:
+    """What is asked about: the registry as hosts have it, and what their bindings state of single agents.
 
-
-def mission_registry(
-    mission: Path, team: Team, capabilities: Path | None = None
-) -> tuple[Registry, Ways | None]:
-    """The registry of a mission as its hosts have it, and the ways that are open to its program.
-
-    It is that of its bundle, or ours with `capabilities`, else the file beside it. Where no program can be
-    had, all ways are open. Raises ProgramError, InputFileError and BundleError, and UsageError for a bundle
-    that has none.
+    `ways` are those by which the program can have each primitive served; None where no program can be had.
     """
-    if mission.suffix != bundle.SUFFIX:
-        registry, program = registry_of(mission, capabilities)
-        return registry, None if program is None else _open(registry, program)
-    built = bundle.read(mission)
-    if capabilities is not None:
-        agents = [agent.id for agent in team.deployed]
-        libraries = discover().capabilities
-        return read_registry(mission=capabilities, agents=agents, libraries=libraries), None
-    if built.registry is None:
-        raise UsageError(f"the program of {mission} names no capability: ask its deployment (.dL) instead")
-    return built.registry, _open(built.registry, built.program)
+
+    registry: Registry
+    ways: Mapping[str, Collection[str]] | None = None
+    stated: Mapping[str, Mapping[str, Stated]] = field(default_factory=dict)
 
 
-def _open(registry: Registry, program: Program) -> Ways:
+def read_asked(path: Path, team: Team, capabilities: Path | None = None) -> Asked:
+    """The same as the hosts of a mission have it, from the same files.
+
+    Of a deployment that has mistakes elsewhere the registry alone, ours with `capabilities`, else the file
+    beside it. Raises ProgramError, InputFileError and BundleError, and UsageError for a bundle without one.
+    """
+    mission: Mission | None = None
+    if path.suffix != bundle.SUFFIX:
+        with suppress(ProgramError, BindingError, InputFileError):
+            mission = load_mission(path, simulate=True, capabilities=capabilities)
+    elif capabilities is None:
+        mission = bundle.read(path)
+        if mission.registry is None:
+            raise UsageError(f"the program of {path} names no capability: ask its deployment (.dL) instead")
+    if mission is not None and mission.registry is not None:
+        ways = _open(mission.registry, mission.program)
+        return Asked(mission.registry, ways, mission.bindings.attributes)
+    own = capabilities or beside(path, CAPABILITIES)
+    agents = [agent.id for agent in team.deployed]
+    return Asked(read_registry(mission=own, agents=agents, libraries=discover().capabilities))
+
+
+def _open(registry: Registry, program: Program) -> dict[str, Collection[str]]:
     """The ways that the program was built with; of what it does not name those it would have."""
     resources = [name for name, kind in program.units.items() if kind == "resource"]
     return {**all_ways(registry, resources), **ways(program)}
 
 
-def from_files(registry: Registry, agents: Sequence[Deployed], at: str = "") -> Roster:
+def from_files(
+    registry: Registry,
+    agents: Sequence[Deployed],
+    at: str = "",
+    stated: Mapping[str, Mapping[str, Stated]] = MappingProxyType({}),
+) -> Roster:
     """The agents as the files have them: what only devices could tell is not known.
 
-    `at` is the host where the question is asked, for the count of hops; '' is none of them.
+    `stated` is what their bindings say, `at` the host where the question is asked, for the count of hops; ''
+    is none of them.
     """
     found = (
-        known.shown(_hops(known, at), "", {}, {}, "{0} is not known: the team is not running")
+        known.shown(
+            _hops(known, at),
+            "",
+            {name: Fact(_value(said)) for name, said in stated.get(known.agent.id, {}).items()},
+            {},
+            "{0} is not known: the team is not running",
+        )
         for known in known_agents(registry, agents).values()
     )
     return Roster(found, registry.attributes)
@@ -137,8 +162,12 @@ def _hops(known: Known, at: str) -> int:
 
 
 def _fact(told: ToldFact) -> Fact:
-    value = frozenset(told.value) if isinstance(told.value, list) else told.value
-    return Fact(value, told.age, told.of)
+    return Fact(_value(told.value), told.age, told.of)
+
+
+def _value(said: float | str | list[str] | tuple[str, ...]) -> Value:
+    """A value as the registry has it: members are a set."""
+    return frozenset(said) if isinstance(said, list | tuple) else said
 
 
 def _fits(fact: Fact, attribute: Attribute | None) -> bool:

@@ -343,3 +343,19 @@ def test_the_host_that_is_asked_answers_or_nobody_does(told):
     status, out, _ = told({"alpha": alpha, "bravo": silent}, "Lift", "--at", "alpha", "--explain")
     assert status == 0
     assert "  arm2: unreachable for 3 s" in out
+
+
+def test_what_the_devices_file_states_counts_without_hosts_too(folder, ask):
+    (folder / "mission.L").write_text(
+        "resource Hoist { init(string[] arg) { } portal lift(real height) emit real { return height; }\n"
+        "portal lower(real height) emit real { return height; } }\n"
+        "coordinator Idle { init(string[] arg) { Lift[] who = findLift(); } }\n"
+    )
+    (folder / "mission.dL").write_text("//Hoist:arm1@alpha\n//Hoist:arm2@bravo\n//Idle:idle@alpha\n")
+    (folder / "mission.capabilities.yaml").write_text(
+        "registry: 1\nproviders: {Hoist: {nominal: {payload: 2.0}, serves: {Lift: {}}}}\n"
+    )
+    (folder / "mission.devices.yaml").write_text("agents: {arm1: {attributes: {mass: 7 kg}}}")
+    _, out, _ = ask("Lift where mass == 7")
+    assert [line.split()[1] for line in out[4:]] == ["arm1"]
+    assert "stated: mass 7 kg" in out[4]

@@ -12,7 +12,7 @@ from lfield.capability.matching.expression import compile_wish
 from lfield.capability.matching.matcher import Matcher
 from lfield.host.offers import found
 from lfield.manifest import Observation
-from lfield.operator.query import from_hosts, mission_registry
+from lfield.operator.query import from_hosts, read_asked
 from lfield.wire.observing import Status
 
 PROGRAM = """
@@ -79,7 +79,8 @@ def test_from_outside_it_is_what_the_program_hears(fleet, condition):
         await asyncio.sleep(3.1)
         devices[1].values["battery"] = 0.9
         await asyncio.sleep(1.7)
-        registry, ways = mission_registry(team.folder / "mission.dL", mission.team)
+        files = read_asked(team.folder / "mission.dL", mission.team)
+        registry, ways = files.registry, files.ways
         numbers = {member.id: member.number for member in mission.team.members}
         for name, running in hosts.items():
             status = msgpack.decode(msgpack.encode(running.host.status()), type=Status)
