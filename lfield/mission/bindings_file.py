@@ -57,6 +57,7 @@ from lfield.mission.bindings import (
     each_needed,
     maker_of,
     on_fakes,
+    undoubled,
 )
 from lfield.text.source import Diagnostics
 from lfield.text.suggest import did_you_mean
@@ -77,21 +78,26 @@ def read_bindings(
     resources: dict[str, str] | None = None,
     hosts: Collection[str] | None = None,
     attributes: Callable[[], Mapping[str, Attribute]] | None = None,
+    doubled: Collection[str] = (),
 ) -> Bindings:
     """The bindings in a file (None: there is no file), checked against what the mission needs.
 
     With `simulate`, needed devices that are not bound get what is usual for their agent's resource type (of
     `resources`), and every endpoint is SIMULATED. `hosts` are those of the team, None where it is not known;
-    `attributes` gives those of the registry, None where nobody asks for them.
-    Raises BindingError with all problems, InputFileError when the file cannot be read.
+    `attributes` gives those of the registry, None where nobody asks for them. Of `doubled` agents only the
+    limits are read, and what is stated. Raises BindingError with all problems, InputFileError when the file
+    cannot be read.
     """
     found = Diagnostics()
     node = read(str(path), found) if path is not None else None
     bindings = Bindings()
     if path is not None and node is not None:
-        reader = BindingsReader(needed, drivers, found, path.parent, simulate=simulate, hosts=hosts)
+        reader = BindingsReader(
+            needed, drivers, found, path.parent, simulate=simulate, hosts=hosts, doubled=doubled
+        )
         reader.attributes = attributes
         bindings = reader.bindings(node)
+    needed = undoubled(needed, doubled)
     problems = [diagnostic.render() for diagnostic in found.errors]
     problems += _without_driver(needed, drivers)
     # What is written wrong is not missing: the file's own errors are told first, and alone.
@@ -134,7 +140,9 @@ class BindingsReader:
         *,
         simulate: bool,
         hosts: Collection[str] | None = None,
+        doubled: Collection[str] = (),
     ) -> None:
+        self._doubled = doubled
         self._needed, self._drivers, self._found = needed, drivers, found
         self._folder, self._simulate, self._hosts = folder, simulate, hosts
         #: The attributes of the registry, None where nobody asks for them.
@@ -158,7 +166,10 @@ class BindingsReader:
                 fields.report("Y113", f"the deployment has no agent '{entry.key}'", entry.key_span, hint)
                 continue
             agents[entry.key] = self._limits(fields, defaults)
-            devices[entry.key] = dict(self._devices(entry.key, fields))
+            if entry.key in self._doubled:
+                fields.node("devices")
+            else:
+                devices[entry.key] = dict(self._devices(entry.key, fields))
             if values := self._stated(fields):
                 stated[entry.key] = values
             fields.done()

@@ -79,6 +79,8 @@ class Directory:
     ) -> None:
         self._registry, self._here, self._links, self._clock = registry, here, links, clock
         self._agents: dict[str, Deployed] = {a.id: a for a in agents if a.type in registry.providers}
+        #: The agents of this host, whose conditions `own` wants.
+        self.own_agents = [agent.id for agent in self._agents.values() if agent.host == here]
         self._by_type: dict[str, list[Deployed]] = {}
         for agent in self._agents.values():
             self._by_type.setdefault(agent.type, []).append(agent)
@@ -90,11 +92,6 @@ class Directory:
         self._remotes = {agent.host: _Remote() for agent in self._agents.values() if agent.host != here}
 
     # --- this host's agents ---------------------------------------------------------------------------
-
-    @property
-    def own_agents(self) -> list[str]:
-        """The agents of this host, whose conditions `own` wants."""
-        return [agent.id for agent in self._agents.values() if agent.host == self._here]
 
     def live(self, agent: str) -> Mapping[str, Live]:
         """The live attributes of an agent, with where their values come from."""
