@@ -25,7 +25,7 @@ from lfield.vm.memory.collector import collect
 from lfield.vm.memory.copier import deep_copy
 from lfield.vm.memory.layout import Layouts
 from lfield.vm.memory.soundness import Soundness
-from lfield.vm.offers import Found, Shapes, UnknownWay, ways, write_offers
+from lfield.vm.offers import Found, SearchGivenUp, Shapes, UnknownWay, ways, write_offers
 
 TEAM = """
 resource Crane {
@@ -228,6 +228,8 @@ class Asked(Desk):
 
     def offers(self, agent: object, capability: str, constraint: str | None) -> list[Found]:
         self.queries.append((capability, constraint))
+        if constraint == "too much":
+            raise SearchGivenUp("nobody was found, but there is more")
         return self.found
 
 
@@ -252,6 +254,11 @@ def test_more_offers_than_the_heap_can_hold_are_an_exception() -> None:
     desk = run("print(who.length());", [WHOLE] * 5000, heap=1 << 17)
     (ended,) = (agent for agent in desk.endings if agent.ended == "died")
     assert ended.report.startswith("LimitException: the heap of boss is over its limit of 131072 bytes")
+
+
+def test_nobody_found_in_a_search_that_was_cut_is_an_exception() -> None:
+    body = 'try { who = findLift("too " + "much"); } catch (LimitException e) { print(e.message()); }'
+    assert run(body, []).output == ["nobody was found, but there is more"]
 
 
 def test_offers_by_an_unknown_way_are_an_exception_that_can_be_caught() -> None:

@@ -35,6 +35,10 @@ class Stream:
             self._made.append(plan)
         return self._made[index]
 
+    def all_of(self, first: int, count: int) -> list[Plan]:
+        """So many of those that were made, from one on."""
+        return self._made[first : first + count]
+
     def all(self) -> list[Plan]:
         """All of them."""
         self._made.extend(self._rest)
@@ -279,10 +283,9 @@ def teams(
     waiting: list[tuple[float, tuple[int, ...], tuple[Plan, ...]]] = []
 
     def begin(numbers: tuple[int, ...], chosen: tuple[Plan, ...]) -> None:
-        last = numbers[-1]
-        rest = [members.at(last + ahead) for ahead in range(size - len(chosen))]
-        following = [plan for plan in rest if plan is not None]
-        if len(following) == len(rest):
+        first, wanted = numbers[-1], size - len(chosen)
+        if members.at(first + wanted - 1) is not None:
+            following = members.all_of(first, wanted)
             bound = cost([plan.cost for plan in (*chosen, *following)])
             heapq.heappush(waiting, (bound, numbers, (*chosen, following[0])))
 

@@ -16,6 +16,7 @@ from harness.figure import Figure
 from harness.processes import Processes
 from harness.samples import Contender, median, timed
 from harness.words import PERCENT, TIMES
+from msgspec import structs
 
 from lfield.capability.matching.expression import Scope, check, compile_wish, parse
 from lfield.capability.matching.matcher import Matcher
@@ -58,7 +59,7 @@ class _Team:
     def __init__(self, members: Sequence[Candidate]) -> None:
         self.by_type: dict[str, list[Candidate]] = {}
         for number, member in enumerate(members):
-            self.by_type.setdefault(member.type, []).append(replace(member, number=number))
+            self.by_type.setdefault(member.type, []).append(structs.replace(member, number=number))
 
     def candidates(self, resource: str) -> Sequence[Candidate]:
         return self.by_type.get(resource, ())

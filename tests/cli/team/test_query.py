@@ -359,3 +359,67 @@ def test_what_the_devices_file_states_counts_without_hosts_too(folder, ask):
     _, out, _ = ask("Lift where mass == 7")
     assert [line.split()[1] for line in out[4:]] == ["arm1"]
     assert "stated: mass 7 kg" in out[4]
+
+
+def test_every_term_of_a_score_is_told(ask):
+    _, out, _ = ask("Lift where payload >= 0.1", "--explain")
+    terms = out[out.index("scores:") + 1 :]
+    assert terms[:3] == [
+        "  1: score 0.xxx = 1 / (1 + cost)",
+        "    cost 0.5636 = fitness 1 * 0.4636 + hop 0.1 * 1 + near 0.2 * 0 + age 0.2 * 0",
+        "      fitness 0.4636 = battery 0.3333 * 0.5 + payload 0.3333 * 0.09091 + speed 0.3333 * 0.8",
+    ]
+    assert any("hand, Grip: cost" in line for line in terms)
+
+
+def test_teams(ask):
+    status, out, _ = ask("Lift where payload >= 0.1", "--team", "2")
+    assert status == 0
+    assert out[out.index("teams:") + 1 :] == [
+        "   1  arm1, arm2",
+        "   2  arm1, mast",
+        "   3  arm2, mast",
+        *_HAND,
+    ]
+    status, out, _ = ask("Lift where payload >= 0.1", "--team", "4")
+    assert (status, out[-1]) == (1, "no team can")
+
+
+#: The hand lifts with the mast only, so the mast is no other member.
+_HAND = ["   4  arm1, hand+mast", "   5  arm2, hand+mast"]
+
+
+@pytest.mark.parametrize("size", ["0", "-1", "x", "1001"])
+def test_a_team_of_nobody_is_refused(ask, capsys, size):
+    assert main(["query", "Lift", "--deploy", "mission.dL", f"--team={size}"]) == 64
+    assert "a team has from 1 to 1000 members" in capsys.readouterr().err
+
+
+def test_an_order_and_a_limit(ask):
+    status, out, _ = ask("Lift where payload >= 0.1 order by payload limit 2")
+    assert status == 0
+    assert [line.split()[1] for line in out if re.match(r"   \d", line)] == ["hand+mast", "arm2"]
+    assert out[-1] == "the best 2 of 4 offers are given"
+    assert ask("Lift limit 1")[1][-1] == "the best 1 of 4 offers are given"
+    assert ask("Lift order by endurance")[1][-1] == "endurance is known of nobody: it orders nothing"
+
+
+def test_a_search_that_was_cut_says_so(folder, ask):
+    rule = """
+equivalences:
+  odd-pair:
+    serves: Haul
+    needs: {one: Lift, other: Lift}
+    where: [one.reach - other.reach == 1234]
+    through: GoAndHaul
+    source: go_and_haul.L
+agents:
+"""
+    many = 60
+    values = "".join(f"  x{i}: {{reach: {1.0 + i}}}\n" for i in range(many))
+    (folder / "go_and_haul.L").write_text("")
+    (folder / "mission.capabilities.yaml").write_text(CAPABILITIES.replace("agents:\n", rule) + values)
+    (folder / "mission.dL").write_text(DEPLOYMENT + "".join(f"//Hoist:x{i}@alpha\n" for i in range(many)))
+    status, out, _ = ask("Haul")
+    assert status == 1
+    assert "odd-pair: there are more combinations of parts than could be tried" in out

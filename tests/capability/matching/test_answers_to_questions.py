@@ -1,0 +1,98 @@
+"""What a coordinator gets to know of a search: how many there were, what was left out, and what was cut."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import pytest
+
+from lfield.capability.offer import Candidate, Fact
+from lfield.capability.reading.reader import read_registry
+from lfield.errors import ConstraintError
+from lfield.host.offers import Answers
+from lfield.vm.offers import SearchGivenUp
+
+REGISTRY = """
+registry: 1
+taxonomy: {skill: {meaning: all}}
+attributes:
+  payload: {type: real, better: more, typical: 2.0}
+  reach: {type: real}
+primitives:
+  Lift: {id: skill, portals: {lift: {}}}
+  Haul: {id: skill, portals: {haul: {}}}
+providers:
+  Crane: {serves: {Lift: {}}}
+equivalences:
+  odd-pair:
+    serves: Haul
+    needs: {one: Lift, other: Lift}
+    where: [one.reach - other.reach == 1234]
+    through: Pair
+    source: pair.L
+"""
+MANY = 50
+WAYS = {"Lift": ["byCrane"], "Haul": ["of_odd_pair"]}
+
+
+class Cranes:
+    """Many cranes of one type."""
+
+    def __init__(self, count: int) -> None:
+        self.members = [
+            Candidate(f"c{i}", "Crane", "yard", 0, number=i, facts={"reach": Fact(1.0 + i)})
+            for i in range(count)
+        ]
+
+    def candidates(self, resource: str) -> Sequence[Candidate]:
+        return self.members
+
+    def here(self) -> None:
+        return None
+
+
+@pytest.fixture
+def answers(tmp_path: Path) -> Answers:
+    """Of fifty cranes."""
+    (tmp_path / "pair.L").write_text("", encoding="utf-8")
+    path = tmp_path / "cranes.yaml"
+    path.write_text(REGISTRY, encoding="utf-8")
+    return Answers(read_registry([path]), Cranes(MANY), WAYS, {f"c{i}": i for i in range(MANY)})
+
+
+def test_an_offer_says_how_many_there_were(answers: Answers) -> None:
+    who = answers.offers("Lift", None)
+    assert (len(who), who[0].found, who[0].note) == (32, MANY, "the best 32 of 50 offers are given")
+    every = answers.offers("Lift", "limit 100")
+    assert (len(every), every[0].found, every[0].note) == (MANY, MANY, "")
+    assert answers.explain("Lift", None) == "the best 32 of 50 offers are given"
+    assert answers.explain("Lift", "reach <= 3.0").splitlines()[0] == "there are 3 offers, by 3 agents"
+
+
+def test_nobody_is_not_said_where_not_everything_was_tried(answers: Answers) -> None:
+    cut = "odd-pair: there are more combinations of parts than could be tried"
+    with pytest.raises(SearchGivenUp, match=f"nobody was found for Haul, but {cut}"):
+        answers.offers("Haul", None)
+    with pytest.raises(SearchGivenUp, match="no team of 2 was found for Haul"):
+        answers.teams("Haul", None, 2)
+    assert cut in answers.explain("Haul", None)
+    # What prunes before it combines leaves nothing to be tried.
+    assert answers.offers("Haul", 'agent == "c3"') == []
+
+
+def test_teams_of_none_and_of_too_many(answers: Answers) -> None:
+    for size in (0, -1, -(2**63)):
+        with pytest.raises(ConstraintError, match="a team has one member at least"):
+            answers.teams("Lift", None, size)
+    assert answers.teams("Lift", "reach <= 3.0", 4) == []
+    assert answers.teams("Lift", None, 2**63 - 1) == []
+    (team,) = answers.teams("Lift", "reach <= 3.0", 3)
+    assert [one.agent for one in team] == ["c0", "c1", "c2"]
+    assert {one.found for one in team} == {3}
+    assert len(answers.teams("Lift", "limit 100", 2)) == 100
+
+
+def test_a_question_of_ten_thousand_characters(answers: Answers) -> None:
+    with pytest.raises(ConstraintError, match="longer than 2000 characters"):
+        answers.offers("Lift", "reach > 1.0 && " * 700 + "true")
