@@ -13,6 +13,7 @@ from lfield_mavlink.contact.streams import Streams
 from lfield_mavlink.limit_keeper import LimitKeeper
 from lfield_mavlink.limits import Limits
 from lfield_mavlink.link.ports import LinkCounts
+from lfield_mavlink.nature import Nature
 from lfield_mavlink.parts.fences import Fences, Rally
 from lfield_mavlink.parts.flight import Flight
 from lfield_mavlink.parts.guidance import Guidance
@@ -61,6 +62,7 @@ class MavlinkVehicle(Contact):
         self._flight = Flight(self, self.motion, limits, readiness, self.parameters)
         self._rest = Rest(self, self.motion)
         self._keeper = LimitKeeper(self, self.motion)
+        self._nature = Nature(self, self.parameters, self.motion.fence, binding)
         self._guidance = Guidance(self, self.motion, limits)
         self.parts = (
             self._flight,
@@ -124,6 +126,7 @@ class MavlinkVehicle(Contact):
             self._health.keep(),
             self._keeper.keep(),
             self._guidance.keep(),
+            self._nature.keep(),
         )
 
     async def _watch(self) -> None:

@@ -22,22 +22,9 @@ _WRITES = frozenset({BY_NAME["putf"].code, BY_NAME["pute"].code})
 #: Results that did not exist before the instruction: no other thread can hold them.
 _MAKES = frozenset(BY_NAME[name].code for name in ("new", "newarray", "lds"))
 #: Heads that leave the engine and change nothing but what people read, time and chance.
-_TELLING = (
-    "write",
-    "print",
-    "now",
-    "random",
-    "find",
-    "findall",
-    "agent",
-    "host",
-    "offers",
-    "explain",
-    "teams",
-)
-_HARMLESS = frozenset(
-    row.code for row in BY_CODE.values() if row.name.partition("_")[0] in (*_TELLING, "yield", "sleep")
-)
+_READING = ("now", "lived", "random", "find", "findall", "agent", "host", "offers", "explain", "teams")
+_TELLING = ("write", "print", *_READING, "yield", "sleep")
+_HARMLESS = frozenset(row.code for row in BY_CODE.values() if row.name.partition("_")[0] in _TELLING)
 
 # What a slot may hold, and what a method may change, as a set of bits: something that existed before and was
 # not given to the method, or its parameter number n (0: the object that it runs on).

@@ -174,6 +174,7 @@ TABLE: tuple[Opcode, ...] = (
     _head(840, "yield", "", "Lets other threads run.", exits=True),
     _head(841, "sleep", "real", "Pauses the thread for so many seconds.", exits=True),
     _head(842, "now", "->real", "Seconds since 1970-01-01 UTC on the clock of the host.", exits=True),
+    _head(847, "lived", "->real", "Seconds that the coordinator has lived, on all its hosts.", exits=True),
     _head(843, "hops", "->int", "How often this coordinator has migrated."),
     _head(844, "random", "->real", "A random number from 0 up to 1.", exits=True),
     _head(845, "random_int", "int->int", "A random int from 0 up to n-1; ArithmeticException.", exits=True),

@@ -56,9 +56,12 @@ MESSAGE, SOURCE, TRACE, OTHERS = 0, 1, 2, 3
 BESIDE = ""
 
 #: The first field of a capability, and the fields of its class: what every offer tells about itself. `names`,
-#: `numbers`, `texts` and `ages` have one element for each attribute.
+#: `numbers`, `texts`, `ages` and `sources` have one element for each attribute.
 FACTS = "facts"
-FACT_FIELDS = ("agent", "host", "way", "score", "names", "numbers", "texts", "ages", "found", "note")
+FACT_FIELDS = (
+    *("agent", "host", "way", "score", "names", "numbers", "texts", "ages"),
+    *("found", "note", "sources", "since"),
+)
 #: So many of them has a program of lfield 0.4. Later ones are only added behind.
 OLDEST_FACTS = 8
 

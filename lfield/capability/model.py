@@ -169,10 +169,12 @@ class PortalMap:
 
 @dataclass(frozen=True, slots=True)
 class Live:
-    """An attribute that is a device's telemetry: `value * factor + offset` of `device.quantity`.
+    """An attribute that an agent tells itself: `value * factor + offset` of `device.quantity`, telemetry.
 
     Of a quantity that is an array, `index` says which element: `fc.position[0]` is how far north. Where no
-    `unit` was written, factor and offset follow from the device's manifest (program_check.py).
+    `unit` was written, factor and offset follow from the device's manifest (program_check.py). Without a
+    `device` the quantity is what a `portal` of the resource gives, which is asked `every` so many seconds.
+    An attribute that is not live itself is what a device tells of itself once, as its kind.
     """
 
     attribute: str
@@ -183,6 +185,12 @@ class Live:
     offset: float = 0.0
     index: int | None = None
     unit: str = ""
+    every: float = 1.0
+
+    @property
+    def portal(self) -> str:
+        """The portal that is asked, '' for telemetry."""
+        return "" if self.device else self.quantity
 
 
 @dataclass(frozen=True, slots=True)
@@ -190,7 +198,8 @@ class Served:
     """A primitive as one resource type serves it; its `attributes` count before those of the type.
 
     `when` is a condition on the agent, for what not every one of the type has: a copter grips only when
-    `tools == gripper`.
+    `tools == gripper`. Of the attributes those are `nominal` that hold what is usual: nobody has said it of
+    these very robots.
     """
 
     primitive: str
@@ -198,11 +207,12 @@ class Served:
     span: Span = NOWHERE
     attributes: Mapping[str, Value] = field(default_factory=dict)
     when: Expression | None = None
+    nominal: frozenset[str] = frozenset()
 
 
 @dataclass(frozen=True, slots=True)
 class Provider:
-    """A resource type of L with what it serves, by primitive."""
+    """A resource type of L with what it serves, by primitive; `nominal` as in Served."""
 
     type: str
     serves: Mapping[str, Served]
@@ -211,6 +221,7 @@ class Provider:
     meaning: str = ""
     attributes: Mapping[str, Value] = field(default_factory=dict)
     live: Mapping[str, Live] = field(default_factory=dict)
+    nominal: frozenset[str] = frozenset()
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,12 +15,31 @@ from lfield.capability.model import Value
 
 Kind = Literal["direct", "equivalent", "composed"]
 
+#: Where a value is from, the surest last: a usual one of its type, said by somebody for the mission or for
+#: the type, told by the device of itself, or measured by it lately.
+Provenance = Literal["nominal", "stated", "told", "measured"]
+
 
 class Fact(Struct, frozen=True, gc=False):
-    """The value of an attribute; for `age` seconds it may have changed unnoticed (0: it never does)."""
+    """The value of an attribute, and where it is `of`.
+
+    One that was measured may have changed unnoticed for `age` seconds; any other stands.
+    """
 
     value: Value
     age: float = 0.0
+    of: Provenance = "stated"
+
+    @property
+    def source(self) -> str:
+        """Where it is from, in words: `nominal`, `stated`, `told by the device`, `measured 0.4 s ago`."""
+        match self.of:
+            case "told":
+                return "told by the device"
+            case "measured":
+                return f"measured {self.age:.{0 if self.age >= 10 else 1}f} s ago"
+            case said:
+                return said
 
 
 #: Where something is: north, east and, where that is known, down, in metres, in the frame of the team.

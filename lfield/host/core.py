@@ -80,7 +80,7 @@ class HostCore:
             mission, self._hello([]), self.machine, clock, self._out, unreachable_after, pages, times or {}
         )
         self.mobility = self.coordinators.mobility
-        self.directory = TeamDirectory(mission, name, incarnation, self.machine.agents, nearby, clock)
+        self.directory = TeamDirectory(mission, name, incarnation, self.machine, nearby, clock)
         self._leases = Leases(
             mission, self._hello([]), self.coordinators, self.machine, clock, self._out, pages, dice
         )

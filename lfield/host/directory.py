@@ -7,20 +7,19 @@ capability of a registry nothing of all this happens.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Protocol
 
 from lfield.capability.directory.directory import Directory, Links
 from lfield.capability.directory.news import News
 from lfield.capability.model import Registry
-from lfield.capability.offer import Candidate
+from lfield.capability.offer import Candidate, Fact
 from lfield.clock import Clock
 from lfield.errors import WireError
-from lfield.host.reports import Reports
-from lfield.host.sampling import Devices, Sampler
+from lfield.host.telling.asking import Asking, Machine
+from lfield.host.telling.reports import Reports, said
+from lfield.host.telling.sampling import Devices, Sampler
 from lfield.mission.mission import Mission
 from lfield.mobility.effects import Send
-from lfield.vm.agent import Agent
 from lfield.wire.fields import age, clip
 from lfield.wire.messages import Hello, Report
 from lfield.wire.observing import Told, ToldFact
@@ -39,8 +38,8 @@ class Neighbours(Devices, Links, Protocol):
 class TeamDirectory:
     """Keeps the `directory` of a host up to date. Only agents that the `registry` knows are in it.
 
-    `life` tells this run of the host from the next, `running` are the agents of its machine. What is to be
-    told to others comes back as messages to send.
+    `life` tells this run of the host from the next, `machine` runs its agents. What is to be told to others
+    comes back as messages to send.
     """
 
     def __init__(
@@ -48,7 +47,7 @@ class TeamDirectory:
         mission: Mission,
         name: str,
         life: int,
-        running: Mapping[str, Agent],
+        machine: Machine,
         nearby: Neighbours,
         clock: Clock,
     ) -> None:
@@ -58,7 +57,11 @@ class TeamDirectory:
         self.directory = Directory(registry, agents, name, nearby, clock, life)
         self._reports = Reports(registry, agents)
         fields = {agent.id: mission.bindings.devices.get(agent.id, {}) for agent in agents}
-        self._sampler = Sampler(registry.attributes, running, fields, nearby, clock)
+        bound = mission.bindings.attributes
+        self._asking = Asking(machine, clock)
+        self._sampler = Sampler(
+            registry.attributes, machine.agents, fields, nearby, self._asking, clock, bound
+        )
         self._linked: dict[str, None] = {}
         #: When `tick` has something to do next, None for never.
         self.due: float | None = None
@@ -101,7 +104,9 @@ class TeamDirectory:
     def look(self) -> None:
         """Bring what the directory knows of this host's agents up to date."""
         for agent in self.directory.own_agents:
-            self.directory.own(agent, self._sampler.condition(agent, self.directory.live(agent)))
+            live = self.directory.live(agent)
+            self._asking.look(agent, live.values())
+            self.directory.own(agent, self._sampler.condition(agent, live))
 
     def _report(self, news: News) -> Report:
         return self._reports.write(news, self._clock.monotonic())
@@ -112,10 +117,12 @@ class TeamDirectory:
         return [self._told(candidate) for candidate in self.directory.everybody()]
 
     def _told(self, candidate: Candidate) -> Told:
-        facts = {
-            name: ToldFact(clip(value) if isinstance(value, str) else value, round(age(fact.age), 3))
-            for name in self.directory.live(candidate.agent)
-            if (fact := candidate.facts.get(name)) and not isinstance(value := fact.value, frozenset)
-        }
+        own = self.registry.agents.get(candidate.agent, {})
+        facts = {name: _told(fact) for name, fact in candidate.facts.items() if name not in own}
         unknown = {name: clip(why) for name, why in candidate.unknown.items()}
         return Told(candidate.agent, clip(candidate.refusal), facts, unknown)
+
+
+def _told(fact: Fact) -> ToldFact:
+    value = sorted(fact.value) if isinstance(fact.value, frozenset) else fact.value
+    return ToldFact(value, age(fact.age), said(fact.of))

@@ -13,7 +13,7 @@ from lfield.capability.matching.explain import render
 from lfield.capability.matching.expression import compile_wish
 from lfield.capability.matching.matcher import Matcher
 from lfield.capability.model import ANYBODY, Registry, Value, Wish
-from lfield.capability.offer import Offer, Team
+from lfield.capability.offer import Fact, Offer, Team
 from lfield.errors import ConstraintError
 from lfield.host.directory import TeamDirectory
 from lfield.mission.mission import Mission
@@ -117,10 +117,16 @@ def found(offer: Offer, numbers: Mapping[str, int], count: int = 0, note: str = 
         names=tuple(offer.facts),
         numbers=tuple(float(v) if isinstance(v, int | float) else math.nan for v in values),
         texts=tuple(_text(value) for value in values),
-        ages=tuple(fact.age for fact in offer.facts.values()),
+        ages=tuple(_growing(fact) for fact in offer.facts.values()),
+        sources=tuple("measured" if fact.of == "measured" else fact.source for fact in offer.facts.values()),
         found=count,
         note=note,
     )
+
+
+def _growing(fact: Fact) -> float:
+    """The age of a fact, NaN when it does not grow: only what is measured anew grows old."""
+    return fact.age if fact.of == "measured" or fact.age else math.nan
 
 
 def _text(value: Value) -> str | None:

@@ -16,7 +16,7 @@ from lfield.text.source import Diagnostic, Source
 
 #: What every offer tells about itself. The other public methods of a capability's class are its portals.
 OFFER_METHODS = frozenset(
-    {"agent", "host", "way", "score", "has", "attribute", "text", "age", "found", "note"}
+    {"agent", "host", "way", "score", "has", "attribute", "text", "age", "source", "found", "note"}
 )
 
 Verb = Literal["find", "explain", "teams"]

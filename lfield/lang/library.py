@@ -38,6 +38,9 @@ FUNCTIONS: tuple[Function, ...] = (
     Function("yield", (), VOID, "yield", "any", "lets other threads run"),
     Function("sleep", (REAL,), VOID, "sleep", "any", "pauses this thread for seconds"),
     Function("now", (), REAL, "now", "any", "seconds since 1970 on the clock of the host it runs on"),
+    Function(
+        "lived", (), REAL, "lived", "coordinator", "seconds that this coordinator has lived, on all its hosts"
+    ),
     Function("hops", (), INT, "hops", "coordinator", "how often this coordinator has migrated"),
     Function(
         "heartbeatInterval",

@@ -31,6 +31,9 @@ SHORTEST_LEASE, LONGEST_LEASE, USUAL_LEASE = 0.2, 60.0, 2.0
 #: More hosts than these do not decide that another one is lost: each of them talks to all others.
 MOST_MEMBERS = 9
 
+#: What a binding states of an attribute.
+Stated = float | int | bool | str | tuple[str, ...]
+
 #: Agent id -> field name -> device type: what a mission needs. Every agent is a key, also without devices.
 Needed = Mapping[str, Mapping[str, str]]
 
@@ -64,7 +67,10 @@ class Recovery:
 
 @dataclass(frozen=True, slots=True)
 class Bindings:
-    """Limits of agents, and devices by agent and field; times are in seconds."""
+    """Limits of agents, and devices by agent and field; times are in seconds.
+
+    `attributes` is what they state of single agents in the words of the registry, a set as its members.
+    """
 
     agents: Mapping[str, Limits] = field(default_factory=dict)
     devices: Mapping[str, Mapping[str, DeviceBinding]] = field(default_factory=dict)
@@ -72,6 +78,7 @@ class Bindings:
     unreachable_after: float = 10.0
     silence: float = SILENCE
     recovery: Recovery = field(default_factory=Recovery)
+    attributes: Mapping[str, Mapping[str, Stated]] = field(default_factory=dict)
 
     def limits(self, agent: str) -> Limits:
         """The limits of an agent: its own, then the defaults of the file, then the machine's."""

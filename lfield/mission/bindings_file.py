@@ -4,6 +4,7 @@
 agents:
   alpha:                                   # an agent of the deployment
     heap: 2 MiB                            # limits of this agent
+    attributes: {payload: 1.2 kg}          # what is so of this robot, in the words of the registry
     devices:
       fc:
         driver: mavlink
@@ -31,9 +32,12 @@ options. What fits no agent, device, driver or type is an error, all of them at 
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
 
+from lfield.capability.model import Attribute
+from lfield.capability.reading.draft import Draft
+from lfield.capability.reading.values import read_values
 from lfield.driver.binding import LEAST_AFTER, DeviceBinding, OptionValue, WithoutPolicy
 from lfield.driver.contract import Manifest, Option
 from lfield.driver.known import Drivers
@@ -49,6 +53,7 @@ from lfield.mission.bindings import (
     Bindings,
     Needed,
     Recovery,
+    Stated,
     each_needed,
     maker_of,
     on_fakes,
@@ -72,14 +77,16 @@ def read_bindings(
     simulate: bool = False,
     resources: dict[str, str] | None = None,
     hosts: Collection[str] | None = None,
+    attributes: Callable[[], Mapping[str, Attribute]] | None = None,
     doubled: Collection[str] = (),
 ) -> Bindings:
     """The bindings in a file (None: there is no file), checked against what the mission needs.
 
     With `simulate`, needed devices that are not bound get what is usual for their agent's resource type (of
-    `resources`), and every endpoint is SIMULATED. `hosts` are those of the team, None where it is not known.
-    Of `doubled` agents only the limits are read. Raises BindingError with all problems, InputFileError when
-    the file cannot be read.
+    `resources`), and every endpoint is SIMULATED. `hosts` are those of the team, None where it is not known;
+    `attributes` gives those of the registry, None where nobody asks for them. Of `doubled` agents only the
+    limits are read, and what is stated. Raises BindingError with all problems, InputFileError when the file
+    cannot be read.
     """
     found = Diagnostics()
     node = read(str(path), found) if path is not None else None
@@ -88,6 +95,7 @@ def read_bindings(
         reader = BindingsReader(
             needed, drivers, found, path.parent, simulate=simulate, hosts=hosts, doubled=doubled
         )
+        reader.attributes = attributes
         bindings = reader.bindings(node)
     needed = undoubled(needed, doubled)
     problems = [diagnostic.render() for diagnostic in found.errors]
@@ -137,6 +145,8 @@ class BindingsReader:
         self._doubled = doubled
         self._needed, self._drivers, self._found = needed, drivers, found
         self._folder, self._simulate, self._hosts = folder, simulate, hosts
+        #: The attributes of the registry, None where nobody asks for them.
+        self.attributes: Callable[[], Mapping[str, Attribute]] | None = None
 
     def bindings(self, node: Node) -> Bindings:
         """The whole file; findings go to the diagnostics."""
@@ -149,6 +159,7 @@ class BindingsReader:
         recovery = self._recovery(top.section("recovery"), silence)
         agents: dict[str, Limits] = {}
         devices: dict[str, dict[str, DeviceBinding]] = {}
+        stated: dict[str, dict[str, Stated]] = {}
         for entry, fields in top.section("agents").entries():
             if entry.key not in self._needed:
                 hint = f"its agents: {', '.join(sorted(self._needed)) or 'none'}"
@@ -159,9 +170,20 @@ class BindingsReader:
                 fields.node("devices")
             else:
                 devices[entry.key] = dict(self._devices(entry.key, fields))
+            if values := self._stated(fields):
+                stated[entry.key] = values
             fields.done()
         top.done()
-        return Bindings(agents, devices, defaults, unreachable_after, silence, recovery)
+        return Bindings(agents, devices, defaults, unreachable_after, silence, recovery, stated)
+
+    def _stated(self, fields: Fields) -> dict[str, Stated]:
+        """What is stated of an agent, in the units of the registry."""
+        if self.attributes is None or "attributes" not in fields:
+            fields.node("attributes")
+            return {}
+        draft = Draft((), self._found, attributes=dict(self.attributes()))
+        values = read_values(draft, fields.section("attributes"))
+        return {name: tuple(sorted(v)) if isinstance(v, frozenset) else v for name, v in values.items()}
 
     def _recovery(self, fields: Fields, silence: float) -> Recovery:
         lease = fields.number("lease", USUAL_LEASE, minimum=SHORTEST_LEASE, maximum=LONGEST_LEASE)

@@ -156,7 +156,7 @@ def decode(data: bytes) -> Mission:
     team = _team(_decoded("team", _rows, parts), program, bound.addresses)
     drivers = KnownDrivers(_decoded("drivers", _drivers, parts))
     check_bindings(bound.bindings, needed_devices(program, team), drivers, team.hosts)
-    registry = _registry(parts["registry"])
+    registry = _registry(parts["registry"], bound.bindings)
     return _decided(Mission(texts.name, program, team, bound.bindings, drivers, registry, texts.warnings))
 
 
@@ -181,14 +181,16 @@ def _team(rows: list[Row], program: Program, addresses: Mapping[str, str]) -> Te
     return team_of(rows, program.units, {}).at(addresses)
 
 
-def _registry(data: memoryview) -> Registry | None:
+def _registry(data: memoryview, bindings: Bindings) -> Registry | None:
     if not data:
         return None
     # Only a mission that names a capability needs what reads conditions.
-    from lfield.mission.registry_part import decode_registry
+    from lfield.mission.registry_part import check_stated, decode_registry
 
     try:
-        return decode_registry(data)
+        registry = decode_registry(data)
+        check_stated(bindings.attributes, registry)
+        return registry
     except (msgspec.DecodeError, RecursionError, ValueError) as error:
         raise BundleError(f"its registry cannot be read ({error})") from None
 

@@ -12,7 +12,7 @@ from lfield.capability.model import Registry
 from lfield.capability.reading.reader import is_shipped
 from lfield.capability.types.language import RegistryTypes
 from lfield.capability.types.live_units import settle_live
-from lfield.capability.types.program_check import check_types
+from lfield.capability.types.program_check import check_questions, check_types
 from lfield.driver.known import KnownDrivers
 from lfield.driver.plugins import Plugins, discover
 from lfield.errors import (
@@ -68,15 +68,27 @@ def load_mission(
         simulate=simulate,
         resources=team.types,
         hosts=team.hosts,
+        attributes=lambda: types.registry.attributes,
         doubled=doubled,
     )
     drivers = makers_of(plugins, {device.type for device in bindings.all})
     registry = _settled(types.registry, loaded, plugins, hollow) if ways(loaded) else None
     chosen = chosen_fakes(bindings, undoubled(needed, doubled), plugins, team.types) if simulate else []
+    chosen += _stated_twice(bindings, registry)
     mission = _decided(Mission(deploy.stem, loaded, team, bindings, drivers, registry), deployment)
     warnings += _doubts(deployment, mission)
     mission = replace(mission, warnings=(*(warning.render() for warning in warnings), *chosen))
     return mission.at(team.at(parse_maps(maps, team))) if maps else mission
+
+
+def _stated_twice(bindings: Bindings, registry: Registry | None) -> list[str]:
+    """What both the devices file and the mission's registry state of an agent, a line each."""
+    return [
+        f"{name} of {agent} is stated in the devices file and in the mission's registry, which counts"
+        for agent, values in bindings.attributes.items()
+        for name in values
+        if registry is not None and name in registry.agents.get(agent, {})
+    ]
 
 
 def _doubts(deployment: Deployment, mission: Mission) -> list[Diagnostic]:
@@ -129,6 +141,7 @@ def rebound(mission: Mission, devices: Path, *, simulate: bool = False) -> Missi
         simulate=simulate,
         resources=mission.team.types,
         hosts=mission.team.hosts,
+        attributes=(lambda: known.attributes) if (known := mission.registry) is not None else None,
     )
     return _decided(mission.with_bindings(bindings))
 
@@ -268,6 +281,7 @@ def compile_file(
         found = Diagnostics()
         resources = [name for name, kind in program.units.items() if kind == "resource"]
         check_types(capabilities.registry, capabilities.own, resources, known.find_source, found)
+        check_questions(capabilities.registry, program, found)
         if found.errors:
             raise ProgramError([*checked.diagnostics, *found.in_order()])
     return program, checked.diagnostics

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 
 from lfield.capability.model import Registry
 from lfield.capability.reading.reader import check_files, shipped
 from lfield.capability.reading.signatures import Signature, signatures_of
 from lfield.capability.types.live_units import settle_live
-from lfield.capability.types.program_check import check_against, check_classes, check_types
+from lfield.capability.types.program_check import check_against, check_classes, check_questions, check_types
 from lfield.driver.plugins import discover
+from lfield.errors import ProgramError
 from lfield.lang.includes import FileSet
 from lfield.lang.syntax import File
-from lfield.mission.load import CAPABILITIES, agents_of
+from lfield.mission.load import CAPABILITIES, agents_of, compile_file
 from lfield.text.files import MAX_TEXT, read_bytes
 from lfield.text.source import Diagnostic, Diagnostics
 
@@ -45,6 +47,10 @@ def check_registry(
         if registry is not None and mission is not None and units is not None:
             own = [name for name, unit in units.items() if unit.kind == "resource"]
             check_types(registry, mission, own, plugins.find_source, found)
+        if registry is not None and chosen is not None and _asks(registry):
+            # What is wrong with the program itself, `lfield check` says.
+            with suppress(ProgramError):
+                check_questions(registry, compile_file(chosen)[0], found)
     return _once(found.in_order())
 
 
@@ -65,6 +71,10 @@ def _check_calls(registry: Registry, signatures: Mapping[str, Signature], found:
     check_against(registry, signatures, found)
     devices = {name: unit.devices for name, unit in signatures.items() if unit.kind == "resource"}
     settle_live(registry, devices, discover().device_types, found)
+
+
+def _asks(registry: Registry) -> bool:
+    return any(live.portal for provider in registry.providers.values() for live in provider.live.values())
 
 
 def _agents(mission: Path | None) -> list[str] | None:

@@ -24,6 +24,7 @@ from lfield.capability.model import (
     Value,
 )
 from lfield.errors import BundleError
+from lfield.mission.bindings import Stated
 
 #: Explanations are for the desk: nothing that a robot does or says needs them.
 _EMPTIED = frozenset({"meaning"})
@@ -42,6 +43,16 @@ def decode_registry(data: bytes | memoryview) -> Registry:
     for problem in _problems(registry):
         raise BundleError(f"its registry makes no sense: {problem}")
     return registry
+
+
+def check_stated(stated: Mapping[str, Mapping[str, Stated]], registry: Registry) -> None:
+    """Bindings state only what the registry knows, each of its kind. Raises BundleError."""
+    for agent, values in stated.items():
+        for name, value in values.items():
+            attribute = registry.attributes.get(name)
+            said = frozenset(value) if isinstance(value, tuple) else value
+            if attribute is None or not _fits(said, attribute):
+                raise BundleError(f"its bindings state {value!r} of {agent}, which is no {name}")
 
 
 def _plain(value: Any) -> Any:

@@ -50,6 +50,11 @@ class Request(Generic[T]):
 STATUS = Request(StatusRequest(), Status, 2.0)
 
 
+def patiently() -> Request[Status]:
+    """The status of hosts that may be busy: what they would say is waited for, since others cannot say it."""
+    return Request(StatusRequest(), Status, 8.0)
+
+
 def emergency_stop(reason: str, *, lift: bool = False) -> Request[EmergencyStopped]:
     """An emergency stop, or its end. It takes as long as the devices take to confirm it."""
     return Request(EmergencyStop(clip(reason), lift), EmergencyStopped, 8.0)

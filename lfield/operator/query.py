@@ -3,19 +3,27 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
 from pathlib import Path
+from types import MappingProxyType
 
-from lfield.capability.directory.directory import Deployed, live_attributes, place_of
-from lfield.capability.model import Attribute, Registry
+from lfield.bytecode.program import Program
+from lfield.capability.directory.showing import Deployed, Known, known_agents, place_of
+from lfield.capability.model import Attribute, Registry, Value
 from lfield.capability.offer import Candidate, Fact, Place
 from lfield.capability.reading.reader import read_registry
+from lfield.capability.types.generate import all_ways
 from lfield.driver.plugins import discover
-from lfield.errors import LfieldError, UsageError
+from lfield.errors import BindingError, InputFileError, LfieldError, ProgramError, UsageError
 from lfield.mission import bundle
-from lfield.mission.load import CAPABILITIES, beside
+from lfield.mission.bindings import Stated
+from lfield.mission.load import CAPABILITIES, beside, load_mission
+from lfield.mission.mission import Mission
 from lfield.mission.team import Team
 from lfield.operator.ask import Answers
-from lfield.wire.observing import Status, Told
+from lfield.vm.offers import ways
+from lfield.wire.observing import Status, Told, ToldFact
 
 #: For each host, what its directory says of the agents.
 Views = Mapping[str, Mapping[str, Told]]
@@ -43,34 +51,66 @@ class Roster:
         return self._by_type.get(resource, ())
 
 
-def mission_registry(mission: Path, team: Team, capabilities: Path | None = None) -> Registry:
-    """The registry of a mission: that of its bundle, or ours with `capabilities`, else the file beside it.
+@dataclass(frozen=True, slots=True)
+class Asked:
+    """What is asked about: the registry as hosts have it, and what their bindings state of single agents.
 
-    Raises ProgramError, InputFileError and BundleError, and UsageError for a bundle that has none.
+    `ways` are those by which the program can have each primitive served; None where no program can be had.
     """
-    if mission.suffix == bundle.SUFFIX and capabilities is None:
-        registry = bundle.read(mission).registry
-        if registry is None:
-            raise UsageError(
-                f"the program of {mission} names no capability: ask its deployment (.dL) instead"
-            )
-        return registry
-    added = capabilities or beside(mission, CAPABILITIES)
-    return read_registry(
-        mission=added,
-        agents=[agent.id for agent in team.deployed],
-        libraries=discover().capabilities,
-    )
+
+    registry: Registry
+    ways: Mapping[str, Collection[str]] | None = None
+    stated: Mapping[str, Mapping[str, Stated]] = field(default_factory=dict)
 
 
-def from_files(registry: Registry, agents: Sequence[Deployed], at: str = "") -> Roster:
+def read_asked(path: Path, team: Team, capabilities: Path | None = None) -> Asked:
+    """The same as the hosts of a mission have it, from the same files.
+
+    Of a deployment that has mistakes elsewhere the registry alone, ours with `capabilities`, else the file
+    beside it. Raises ProgramError, InputFileError and BundleError, and UsageError for a bundle without one.
+    """
+    mission: Mission | None = None
+    if path.suffix != bundle.SUFFIX:
+        with suppress(ProgramError, BindingError, InputFileError):
+            mission = load_mission(path, simulate=True, capabilities=capabilities)
+    elif capabilities is None:
+        mission = bundle.read(path)
+        if mission.registry is None:
+            raise UsageError(f"the program of {path} names no capability: ask its deployment (.dL) instead")
+    if mission is not None and mission.registry is not None:
+        ways = _open(mission.registry, mission.program)
+        return Asked(mission.registry, ways, mission.bindings.attributes)
+    own = capabilities or beside(path, CAPABILITIES)
+    agents = [agent.id for agent in team.deployed]
+    return Asked(read_registry(mission=own, agents=agents, libraries=discover().capabilities))
+
+
+def _open(registry: Registry, program: Program) -> dict[str, Collection[str]]:
+    """The ways that the program was built with; of what it does not name those it would have."""
+    resources = [name for name, kind in program.units.items() if kind == "resource"]
+    return {**all_ways(registry, resources), **ways(program)}
+
+
+def from_files(
+    registry: Registry,
+    agents: Sequence[Deployed],
+    at: str = "",
+    stated: Mapping[str, Mapping[str, Stated]] = MappingProxyType({}),
+) -> Roster:
     """The agents as the files have them: what only devices could tell is not known.
 
-    `at` is the host where the question is asked, for the count of hops; '' is none of them.
+    `stated` is what their bindings say, `at` the host where the question is asked, for the count of hops; ''
+    is none of them.
     """
     found = (
-        _candidate(registry, number, agent, at, Told(agent.id, "", {}, {}), "the team is not running")
-        for number, agent in _providers(registry, agents)
+        known.shown(
+            _hops(known, at),
+            "",
+            {name: Fact(_value(said)) for name, said in stated.get(known.agent.id, {}).items()},
+            {},
+            "{0} is not known: the team is not running",
+        )
+        for known in known_agents(registry, agents).values()
     )
     return Roster(found, registry.attributes)
 
@@ -80,11 +120,12 @@ def from_hosts(
 ) -> Roster:
     """The agents as the running hosts know them; the `silent` ones have not answered.
 
-    Of each agent counts what the host `at` says, else what its own host says, else what any other does.
+    Of each agent counts what the host `at` says, as it does when a program asks there; without one what its
+    own host says, else what any other does.
     """
     found = (
-        _candidate(registry, number, agent, at, _view(agent, views, silent, at), "no host tells it")
-        for number, agent in _providers(registry, agents)
+        _candidate(registry, known, at, _view(known.agent, views, silent, at))
+        for known in known_agents(registry, agents).values()
     )
     return Roster(found, registry.attributes)
 
@@ -98,13 +139,8 @@ def views_of(answers: Answers[Status]) -> Views:
     }
 
 
-def _providers(registry: Registry, agents: Sequence[Deployed]) -> list[tuple[int, Deployed]]:
-    """The agents of a type that the registry knows, with their numbers in the deployment."""
-    return [(number, agent) for number, agent in enumerate(agents) if agent.type in registry.providers]
-
-
 def _view(agent: Deployed, views: Views, silent: Collection[str], at: str) -> Told:
-    for host in dict.fromkeys((at, agent.host, *views)):
+    for host in (at,) if at else dict.fromkeys((agent.host, *views)):
         told = views.get(host, {}).get(agent.id)
         if told is not None:
             return told
@@ -112,22 +148,38 @@ def _view(agent: Deployed, views: Views, silent: Collection[str], at: str) -> To
     return Told(agent.id, why, {}, {})
 
 
-def _candidate(registry: Registry, number: int, agent: Deployed, at: str, told: Told, why: str) -> Candidate:
-    """An agent with its own values, and those live ones that are told and make sense."""
-    facts = {name: Fact(value) for name, value in registry.agents.get(agent.id, {}).items()}
-    unknown = {}
-    for name in live_attributes(registry, agent):
-        fact = told.facts.get(name)
-        if fact is not None and _fits(fact.value, registry.attributes[name]):
-            facts[name] = Fact(fact.value, fact.age)
-        else:
-            unknown[name] = told.unknown.get(name) or f"{name} is not known: {why}"
-    hops = 0 if agent.host == at else 1
-    return Candidate(agent.id, agent.type, agent.host, hops, told.refusal, facts, unknown, number)
+def _candidate(registry: Registry, known: Known, at: str, told: Told) -> Candidate:
+    """An agent with what a host has told of it, as far as it makes sense."""
+    facts = {name: _fact(fact) for name, fact in told.facts.items()}
+    facts = {name: fact for name, fact in facts.items() if _fits(fact, registry.attributes.get(name))}
+    return known.shown(
+        _hops(known, at), told.refusal, facts, told.unknown, "{0} is not known: no host tells it"
+    )
 
 
-def _fits(value: bool | int | float | str, attribute: Attribute) -> bool:
+def _hops(known: Known, at: str) -> int:
+    return 0 if known.agent.host == at else 1
+
+
+def _fact(told: ToldFact) -> Fact:
+    return Fact(_value(told.value), told.age, told.of)
+
+
+def _value(said: float | str | list[str] | tuple[str, ...]) -> Value:
+    """A value as the registry has it: members are a set."""
+    return frozenset(said) if isinstance(said, list | tuple) else said
+
+
+def _fits(fact: Fact, attribute: Attribute | None) -> bool:
     """Whether a value that came is one of its attribute."""
-    if isinstance(value, bool | str):
-        return attribute.type == ("boolean" if isinstance(value, bool) else "text")
-    return attribute.type in ("real", "int")
+    match fact.value:
+        case _ if attribute is None:
+            return False
+        case bool():
+            return attribute.type == "boolean"
+        case str():
+            return attribute.type == "text"
+        case frozenset():
+            return attribute.type == "set"
+        case _:
+            return attribute.type in ("real", "int")

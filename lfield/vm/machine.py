@@ -16,6 +16,7 @@ from lfield.errors import DeviceError
 from lfield.manifest import DeviceValue
 from lfield.vm import portals
 from lfield.vm.agent import Agent, Member
+from lfield.vm.asking.questions import Questions
 from lfield.vm.begun import Begun
 from lfield.vm.cancelling import CANCELLED, Cancelling
 from lfield.vm.contract import Blocked, Done, Exit, Limits, NoRoom, Outside, Reading, Spent, Thrown, Trap
@@ -76,6 +77,7 @@ class Machine:
         self.engine, self.layouts, self._turns = scheduler.engine, scheduler.layouts, scheduler.turns
         cancelling = self._cancelling = Cancelling(scheduler)
         self._liveness = Liveness(program, scheduler.layouts)
+        self.questions = Questions(scheduler)
         self._soundness = Soundness(program, scheduler.layouts, [member.type for member in team])
         begun = self._begun = BegunCalls(scheduler, cancelling, self._soundness)
         #: The calls that were begun here, by what is told of them (see `BegunCalls`).
@@ -232,7 +234,7 @@ class Machine:
         return found if found is None or isinstance(found, Begun) else found[0]
 
     def is_left(self, resource: Agent, thread: int) -> bool:
-        """Whether a thread serves a portal call that was taken from its caller: nobody waits for it."""
+        """Whether a thread serves a portal that was taken from its caller, or that the host itself asks."""
         number = resource.block.w[place_of(resource.block, thread) + THREAD_CALL]
         return bool(number) and number not in self._scheduler.calls
 

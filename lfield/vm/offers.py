@@ -7,11 +7,12 @@ own way are filled: a proxy, or the offers that stand in for it.
 
 from __future__ import annotations
 
+import math
 from array import array
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
-from lfield.bytecode.program import ARRAY, FACTS, OBJECT, PROXY, Program, TypeRecord
+from lfield.bytecode.program import ARRAY, FACTS, OBJECT, OLDEST_FACTS, PROXY, Program, TypeRecord
 from lfield.vm.memory import layout
 from lfield.vm.memory.block import Block
 from lfield.vm.memory.layout import header
@@ -24,8 +25,8 @@ class Found:
     `way` is the field of the capability's class that stands for how. Directly, that is a proxy for the agent
     with the number `member`; otherwise `parts` are the offers in the fields they belong to. `kind` says the
     same in words. For each attribute there is a name, a number (NaN when it is none), a text (None: show the
-    number) and an age in seconds; the four are equally long. `found` is how many offers there were (of a part
-    0), and `note` what was left out, in words.
+    number), an age in seconds (NaN: it does not grow) and where it is from; the five are equally long.
+    `found` is how many offers there were (of a part 0), and `note` what was left out, in words.
     """
 
     way: str
@@ -39,6 +40,7 @@ class Found:
     numbers: tuple[float, ...] = ()
     texts: tuple[str | None, ...] = ()
     ages: tuple[float, ...] = ()
+    sources: tuple[str, ...] = ()
     found: int = 0
     note: str = ""
 
@@ -121,15 +123,20 @@ def ways(program: Program) -> dict[str, frozenset[str]]:
     }
 
 
-def write_offers(block: Block, shapes: Shapes, capability: int, found: Sequence[Found]) -> int:
-    """An array of offers on the heap; raises Full before it writes anything, and UnknownWay."""
-    writer = _Writer(shapes, block.top)
+def write_offers(block: Block, shapes: Shapes, capability: int, found: Sequence[Found], now: float) -> int:
+    """An array of offers on the heap; raises Full before it writes anything, and UnknownWay.
+
+    `now` is the time of the coordinator's own clock, in seconds: from then on ages grow.
+    """
+    writer = _Writer(shapes, block.top, now)
     return _written(block, writer, writer.offers(capability, found))
 
 
-def write_teams(block: Block, shapes: Shapes, capability: int, found: Sequence[Sequence[Found]]) -> int:
+def write_teams(
+    block: Block, shapes: Shapes, capability: int, found: Sequence[Sequence[Found]], now: float
+) -> int:
     """An array of teams, each an array of offers; raises what `write_offers` does."""
-    writer = _Writer(shapes, block.top)
+    writer = _Writer(shapes, block.top, now)
     teams = [writer.offers(capability, team) for team in found]
     return _written(block, writer, writer.put(layout.ARRAY, shapes.teams[capability], teams))
 
@@ -145,9 +152,9 @@ def _written(block: Block, writer: _Writer, place: int) -> int:
 class _Writer:
     """The words of things to be, which shall stand from the word `base` on; what is equal is written once."""
 
-    def __init__(self, shapes: Shapes, base: int) -> None:
+    def __init__(self, shapes: Shapes, base: int, now: float) -> None:
         self.words = array("q")
-        self._shapes, self._base = shapes, base
+        self._shapes, self._base, self._now = shapes, base, now
         self._made: dict[tuple[int, object], int] = {}
 
     def offers(self, capability: int, found: Sequence[Found]) -> int:
@@ -181,8 +188,11 @@ class _Writer:
         said.append(self._once(strings, found.names, lambda: map(self._text, found.names)))
         said.append(self.put(layout.ARRAY, reals, _bits(found.numbers)))
         said.append(self._once(strings, found.texts, lambda: map(self._text, found.texts)))
-        said.append(self._once(reals, found.ages, lambda: _bits(found.ages)))
+        ages = found.ages if self._shapes.told > OLDEST_FACTS else tuple(map(_still, found.ages))
+        said.append(self._once(reals, _same(ages), lambda: _bits(ages)))
         said += [found.found, self._text(found.note)]
+        said.append(self._once(strings, found.sources, lambda: map(self._text, found.sources)))
+        said += _bits([self._now])
         return self.put(layout.OBJECT, self._shapes.facts, said[: self._shapes.told])
 
     def _once(self, type: int, value: tuple[object, ...], body: Callable[[], Iterable[int]]) -> int:
@@ -201,6 +211,16 @@ class _Writer:
             whole = array("q", raw.ljust(len(raw) + 7 & ~7, b"\0"))
             place = self._made[layout.STRING, text] = self.put(layout.STRING, 0, [len(raw), *whole])
         return place
+
+
+def _still(age: float) -> float:
+    """An age as programs of lfield 0.4 have it: 0 for what does not grow."""
+    return 0.0 if math.isnan(age) else age
+
+
+def _same(numbers: Iterable[float]) -> tuple[object, ...]:
+    """Numbers as what can be compared: NaN is like NaN."""
+    return tuple(None if number != number else number for number in numbers)
 
 
 def _bits(numbers: Iterable[float]) -> array[int]:

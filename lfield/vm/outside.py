@@ -60,6 +60,7 @@ class Outsiders:
             "yield": self._yield,
             "sleep": self._sleep,
             "now": self._now,
+            "lived": self._lived,
             "random": self._random,
             "random_int": self._random_int,
             "find": self._find,
@@ -89,7 +90,7 @@ class Outsiders:
 
     def _note_poll(self, agent: Agent, thread: int, name: str) -> None:
         """Anything but asking and yielding shows that a thread does more than poll."""
-        if name in ("now", "device", "offers", "explain", "teams"):
+        if name in ("now", "lived", "device", "offers", "explain", "teams"):
             agent.asked.add(thread)
         elif name not in ("yield", "agent", "host"):
             agent.polls.pop(thread, None)
@@ -169,6 +170,12 @@ class Outsiders:
     def _now(self, agent: Agent, thread: int, operand: int, words: list[int]) -> None:
         self._scheduler.go_on(agent, thread, word_of(self._scheduler.clock.time()))
 
+    def _lived(self, agent: Agent, thread: int, operand: int, words: list[int]) -> None:
+        self._scheduler.go_on(agent, thread, word_of(self._lifetime(agent)))
+
+    def _lifetime(self, agent: Agent) -> float:
+        return self._scheduler.clock_of(agent) / 1e9
+
     def _limit(self, agent: Agent, thread: int, operand: int, words: list[int]) -> None:
         seconds = real_of(words[0])
         if math.isnan(seconds):
@@ -234,7 +241,10 @@ class Outsiders:
         constraint = agent.block.string(words[0]) if words[0] else None
         with self._refused(agent, thread, name):
             found = scheduler.world.offers(agent, name, constraint)
-            scheduler.complete(agent, thread, lambda: write_offers(agent.block, self._shapes, operand, found))
+            now = self._lifetime(agent)
+            scheduler.complete(
+                agent, thread, lambda: write_offers(agent.block, self._shapes, operand, found, now)
+            )
 
     def _teams(self, agent: Agent, thread: int, operand: int, words: list[int]) -> None:
         scheduler = self._scheduler
@@ -242,7 +252,10 @@ class Outsiders:
         constraint = agent.block.string(words[0]) if words[0] else None
         with self._refused(agent, thread, name):
             found = scheduler.world.teams(agent, name, constraint, words[1])
-            scheduler.complete(agent, thread, lambda: write_teams(agent.block, self._shapes, operand, found))
+            now = self._lifetime(agent)
+            scheduler.complete(
+                agent, thread, lambda: write_teams(agent.block, self._shapes, operand, found, now)
+            )
 
     @contextmanager
     def _refused(self, agent: Agent, thread: int, capability: str) -> Iterator[None]:

@@ -229,6 +229,10 @@ class _Call:
 
 def finish(scheduler: Scheduler, resource: Agent, thread: int, number: int, word: int) -> None:
     """A portal returned: its caller goes on with a copy of the result, if it still waits."""
+    if number in scheduler.questions:
+        scheduler.questions.pop(number)(word, 0)
+        scheduler.forget(resource, thread)
+        return
     resource.served += 1
     if scheduler.attached.watch is not None:
         scheduler.attached.watch.gave(resource, number, word)
@@ -272,13 +276,20 @@ def _return(scheduler: Scheduler, resource: Agent, caller: Agent, waiter: int, w
 
 def fail(scheduler: Scheduler, resource: Agent, thread: int, number: int, thrown: int) -> None:
     """A portal threw: its caller gets a copy of the object, with the lines it came from, if it waits."""
+    if number in scheduler.questions:
+        scheduler.questions.pop(number)(0, thrown)
+    else:
+        _failed(scheduler, resource, thread, number, thrown)
+    scheduler.forget(resource, thread)
+    scheduler.give_back(resource, thread)
+
+
+def _failed(scheduler: Scheduler, resource: Agent, thread: int, number: int, thrown: int) -> None:
     resource.served += 1
     if scheduler.attached.watch is not None:
         scheduler.attached.watch.threw(resource, number, thrown)
     if number in scheduler.calls:
         _throw(scheduler, resource, thread, number, thrown)
-    scheduler.forget(resource, thread)
-    scheduler.give_back(resource, thread)
 
 
 def _throw(scheduler: Scheduler, resource: Agent, thread: int, number: int, thrown: int) -> None:

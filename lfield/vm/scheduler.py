@@ -59,6 +59,9 @@ class Scheduler:
         #: The portal calls under way: for each number, who waits for it, or the record of a call that was
         #: begun and is fetched later.
         self.calls: dict[int, tuple[Agent, int] | Begun] = {}
+        #: The portals that the host itself has asked, by the number of the call: each is told the word that
+        #: is given, or the place of what is thrown.
+        self.questions: dict[int, Callable[[int, int], None]] = {}
         #: The calls that a `together` has begun here, until they are fetched.
         self.begun: dict[Key, Begun] = {}
         #: The number of the last portal call that began.
@@ -279,6 +282,8 @@ class Scheduler:
         if resource.member.kind == "resource" and resource.block.w[layout.W_THREADS]:
             numbers = [resource.block.w[place + THREAD_CALL] for place in threads(resource.block)]
             calls += [self.calls.pop(number) for number in numbers if number in self.calls]
+            for number in numbers:
+                self.questions.pop(number, None)
         for call in calls:
             if isinstance(call, Begun):
                 self.fail_begun(call, "UnreachableResourceException", message, resource.id)

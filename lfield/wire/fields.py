@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Literal
 
 from msgspec import Meta
 
@@ -14,6 +14,9 @@ MAX_TEXT = 2048
 
 #: Longest text of a fact or of a reason in a report, in characters: reports are many.
 MAX_LABEL = 256
+
+#: The most members of a set that is a fact.
+MAX_MEMBERS = 64
 
 #: Bytes of a program or deployment hash.
 HASH_SIZE = 32
@@ -32,6 +35,10 @@ Hash = Annotated[bytes, Meta(max_length=HASH_SIZE)]
 Index = Annotated[int, Meta(ge=0, le=2**16 - 1)]
 Label = Annotated[str, Meta(max_length=MAX_LABEL)]
 Age = Annotated[float, Meta(ge=0.0, le=OLDEST)]
+#: The value of an attribute: a number, a truth, a text, or the members of a set.
+FactValue = bool | int | float | Label | Annotated[list[Label], Meta(max_length=MAX_MEMBERS)]
+#: Where a value is from that a host tells of its agents.
+ToldBy = Literal["stated", "told", "measured"]
 Telemetry = bool | int | float | Text | Annotated[list[int | float], Meta(max_length=MAX_NUMBERS)]
 
 

@@ -15,7 +15,7 @@ from typing import Annotated, Literal
 from msgspec import Meta, Struct
 
 from lfield.wire.coordinators import Accepted, Ended, EndedAck, Inquire, Known, Refused
-from lfield.wire.fields import Age, Count, Hash, Index, Label, Name, Text
+from lfield.wire.fields import Age, Count, FactValue, Hash, Index, Label, Name, Text, ToldBy
 from lfield.wire.observing import (
     EmergencyStop,
     EmergencyStopped,
@@ -30,7 +30,7 @@ from lfield.wire.observing import (
 from lfield.wire.quorum import QuorumMessage
 
 #: The version of everything in this package. Hosts of different versions do not talk.
-PROTOCOL = 5
+PROTOCOL = 6
 
 #: What a peer is: one of the team, or somebody who looks at it (`lfield ps`).
 Role = Literal["host", "observer"]
@@ -96,16 +96,17 @@ class Pong(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag
 
 
 class FactReport(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
-    """The value of a live attribute, `age` seconds old when it was sent.
+    """The value of an attribute, `age` seconds old when it was sent.
 
-    `attribute` is its place among the live attributes of the agent's type, by name. `kept`: the sender keeps
-    it up to date, so it ages only while nothing is heard from the sender.
+    `attribute` is its place among the attributes of the registry, by name. `kept`: the sender keeps it up to
+    date, so it ages only while nothing is heard from the sender. What was not measured does not age.
     """
 
     attribute: Index
-    value: bool | int | float | Label
+    value: FactValue
     age: Age
     kept: bool
+    of: ToldBy = "measured"
 
 
 class AgentReport(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):

@@ -10,7 +10,7 @@ from typing import Annotated, Literal
 from msgspec import Meta, Struct
 
 from lfield.wire.coordinators import CopyState, Known
-from lfield.wire.fields import Age, Count, Hash, Label, MaybeName, Name, Telemetry, Text
+from lfield.wire.fields import Age, Count, FactValue, Hash, Label, MaybeName, Name, Telemetry, Text, ToldBy
 
 
 class StatusRequest(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=6):
@@ -54,17 +54,18 @@ class LinkStatus(Struct, frozen=True, array_like=True, forbid_unknown_fields=Tru
 
 
 class ToldFact(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
-    """The value of a live attribute, `age` seconds old."""
+    """The value of an attribute: `measured`, `age` seconds ago, told by a device of itself, or stated."""
 
-    value: bool | int | float | Text
+    value: FactValue
     age: Age
+    of: ToldBy = "measured"
 
 
 class Told(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
     """What a host's directory says of an agent of the team.
 
-    `refusal` is why it cannot be called, '' when it can. Live attributes are among `facts`, or `unknown` with
-    the reason.
+    `refusal` is why it cannot be called, '' when it can. What must be measured is among `facts`, or `unknown`
+    with the reason.
     """
 
     agent: Name

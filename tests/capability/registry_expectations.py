@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import re
+from contextlib import suppress
 from pathlib import Path
 
 from lfield.capability.model import Registry
 from lfield.capability.reading.reader import check_files
 from lfield.capability.reading.signatures import signatures_of
 from lfield.capability.types.live_units import settle_live
-from lfield.capability.types.program_check import check_against, check_classes, check_types
+from lfield.capability.types.program_check import check_against, check_classes, check_questions, check_types
+from lfield.errors import ProgramError
 from lfield.lang.parser import parse
 from lfield.manifest import DeviceManifest, Quantity
+from lfield.mission.load import compile_file
 from lfield.text.source import Diagnostic, Diagnostics, Source
 
 GOLDEN = Path(__file__).parent / "reading" / "golden"
@@ -60,6 +63,8 @@ def _against(registry: Registry, program: Path, mission: Path | None) -> list[Di
         check_against(registry, signatures, found)
         devices = {name: signature.devices for name, signature in signatures.items()}
         settle_live(registry, devices, {"Rover": ROVER}, found)
+        with suppress(ProgramError):
+            check_questions(registry, compile_file(program)[0], found)
         if mission is not None:
             library = {"hall/lorry.L": program.with_name("lorry.L")}
             check_types(registry, mission, signatures, library.get, found)

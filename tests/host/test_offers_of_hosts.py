@@ -7,6 +7,7 @@ import asyncio
 import pytest
 
 from lfield.capability.directory.news import Trouble
+from lfield.capability.reading.reader import read_registry
 from lfield.errors import ConstraintError
 from lfield.host.directory import LOOK_EVERY
 from lfield.manifest import Observation
@@ -230,6 +231,10 @@ def test_nothing_is_asked_or_sent_for_a_program_that_names_no_capability(fleet):
     fleet(story)
 
 
+NAMES = sorted(read_registry().attributes)
+ARMED, BATTERY = NAMES.index("armed"), NAMES.index("battery")
+
+
 def far_report(*facts, agent=3, unknown=()):
     return [AgentReport(agent, "", None, list(facts), list(unknown))]
 
@@ -240,13 +245,22 @@ def far_report(*facts, agent=3, unknown=()):
         (far_report(agent=0), "bravo reports on agent 0, which is none of its"),
         (far_report(agent=1), "bravo reports on agent 1, which is none of its"),
         (far_report(agent=77), "bravo reports on agent 77, which is none of its"),
-        (far_report(FactReport(2, 1.0, 0.0, True)), "live attribute 2 of far, which has 2"),
-        (far_report(unknown=[(9, "no")]), "live attribute 9 of far, which has 2"),
-        (far_report(FactReport(0, 1.0, 0.0, True)), "says 1.0 for armed of far, which is no boolean"),
-        (far_report(FactReport(1, True, 0.0, True)), "says True for battery of far, which is no real"),
-        (far_report(FactReport(1, "full", 0.0, True)), "says 'full' for battery of far, which is no real"),
-        (far_report(FactReport(1, float("nan"), 0.0, True)), "says nan for battery of far, which is no real"),
-        (far_report(FactReport(1, float("inf"), 0.0, True)), "says inf for battery of far, which is no real"),
+        (far_report(FactReport(999, 1.0, 0.0, True)), f"attribute 999 of far, and there are {len(NAMES)}"),
+        (far_report(unknown=[(999, "no")]), f"attribute 999 of far, and there are {len(NAMES)}"),
+        (far_report(FactReport(ARMED, 1.0, 0.0, True)), "says 1.0 for armed of far, which is no boolean"),
+        (far_report(FactReport(BATTERY, True, 0.0, True)), "says True for battery of far, which is no real"),
+        (
+            far_report(FactReport(BATTERY, "full", 0.0, True)),
+            "says 'full' for battery of far, which is no real",
+        ),
+        (
+            far_report(FactReport(BATTERY, float("nan"), 0.0, True)),
+            "says nan for battery of far, which is no real",
+        ),
+        (
+            far_report(FactReport(BATTERY, float("inf"), 0.0, True)),
+            "says inf for battery of far, which is no real",
+        ),
     ],
 )
 def test_a_report_that_its_host_cannot_make_is_left_out_and_told_once(fleet, agents, why):

@@ -15,7 +15,7 @@ from lfield.devices.lateness import Lateness, Limit
 from lfield.devices.snapshots import LOST_AFTER, Snapshots
 from lfield.driver.plugins import Plugins
 from lfield.guard.messages import Latched, Snapshot
-from lfield.host.sampling import Sampler
+from lfield.host.telling.sampling import Sampler
 from lfield.manifest import Observation
 from lfield.mission.bindings_file import read_bindings
 from lfield.text.source import Source, Span
@@ -59,7 +59,8 @@ def guards():
 
 @pytest.fixture
 def sampler(guards):
-    return Sampler(ATTRIBUTES, {"arm": Running()}, {"arm": ["fc", "hand"], "gone": []}, guards, guards.clock)
+    fields = {"arm": ["fc", "hand"], "gone": []}
+    return Sampler(ATTRIBUTES, {"arm": Running()}, fields, guards, guards, guards.clock)
 
 
 @pytest.mark.parametrize(

@@ -110,7 +110,7 @@ def test_unknown_names_may_be_misspelt_capabilities() -> None:
 
 def test_a_class_of_the_name_offer_is_in_the_way() -> None:
     found = checked(CRANE + "class Offer { }\n" + BOSS % "findLift();")
-    assert drawn(found) == ["team.L:7:7: error[L307]: 'Offer' is declared in Offer.L, line 3 already"]
+    assert drawn(found) == ["team.L:7:7: error[L307]: 'Offer' is declared in Offer.L, line 4 already"]
     assert drawn(checked("class Offer { }\n" + BOSS % "")) == []
 
 

@@ -7,6 +7,7 @@ import hashlib
 import os
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import msgspec
@@ -113,6 +114,22 @@ def test_the_same_files_are_the_same_bundle_in_any_folder_and_process(tmp_path: 
         made.append((folder / "mission.lfm").read_bytes())
     assert made[0] == made[1]
     assert str(tmp_path).encode() not in made[0]
+
+
+def stating(mission: Mission, **values: object) -> bytes:
+    agent = mission.team.deployed[0].id
+    return bundle.encode(mission.with_bindings(replace(mission.bindings, attributes={agent: values})))
+
+
+def test_what_bindings_state_is_in_it(rich: Mission) -> None:
+    agent = rich.team.deployed[0].id
+    read = bundle.decode(stating(rich, payload=1.5, tools=("hook", "winch")))
+    assert read.bindings.attributes == {agent: {"payload": 1.5, "tools": ("hook", "winch")}}
+
+
+@pytest.mark.parametrize("wrong", [{"payload": "heavy"}, {"tools": 3}, {"nonsense": 1.0}, {"payload": True}])
+def test_what_bindings_cannot_state_is_refused(rich: Mission, wrong: dict[str, object]) -> None:
+    assert f"which is no {next(iter(wrong))}" in reason(stating(rich, **wrong))
 
 
 # --- bytes that are none ------------------------------------------------------------------------------------

@@ -91,7 +91,11 @@ def test_hops_are_counted_from_where_the_question_is_asked(registry):
 def test_live_values_come_with_their_age(registry):
     answers = {"alpha": status(first=told(battery=[0.8, 2.5], armed=[True, 0.1], note=["well", 1.0]))}
     first, _ = hosts(registry, answers)
-    assert first.facts == {"battery": Fact(0.8, 2.5), "armed": Fact(True, 0.1), "note": Fact("well", 1.0)}
+    assert first.facts == {
+        "battery": Fact(0.8, 2.5, "measured"),
+        "armed": Fact(True, 0.1, "measured"),
+        "note": Fact("well", 1.0, "measured"),
+    }
     assert first.unknown == {"fix": "fix is not known: no host tells it"}
 
 
@@ -133,7 +137,7 @@ def test_of_a_silent_host_the_others_tell_else_nobody_can_be_called(registry):
         {"battery": [True, 1.0]},
         {"armed": [1, 1.0]},
         {"note": [3, 1.0]},
-        {"payload": [9.0, 1.0]},
+        {"payload": ["heavy", 1.0]},
         {"agent": ["first", 1.0]},
         {"nonsense": [9.0, 1.0]},
     ],

@@ -137,7 +137,7 @@ def read_all(block: Block, array: int) -> list[Found]:
 
 
 def written(block: Block, found: list[Found]) -> int:
-    return write_offers(block, Shapes(program()), program().class_index["Lift"], found)
+    return write_offers(block, Shapes(program()), program().class_index["Lift"], found, 0.0)
 
 
 @given(st.lists(offers(), max_size=6))
@@ -167,7 +167,7 @@ def test_equal_words_are_written_once() -> None:
     written(many, found)
     words = {block.top - layout.HEADER_WORDS for block in (few, many)}
     # The object, what it says, its numbers, its proxy, and its place in the array.
-    assert max(words) - min(words) == 99 * (7 + 11 + 3 + 3 + 1)
+    assert max(words) - min(words) == 99 * (7 + 13 + 3 + 3 + 1)
 
 
 @pytest.mark.parametrize("agent", ["a", "a very long name " * 50])

@@ -146,17 +146,23 @@ class OwnFence:
 
         ArduPilot ignores a setpoint there without a word; PX4 says that it is outside its fence, not which.
         """
-        ceiling, circle = (
-            await self._edges("GF_ACTION", "GF_MAX_VER_DIST", "GF_MAX_HOR_DIST")
-            if self._vehicle.profile.px4
-            else await self._switched_edges()
-        )
+        ceiling, circle = await self._known_edges()
         far, height = math.hypot(*goal[:2]), -goal[2]
         if 0.0 < circle[1] < far:
             return f"{words} {far:.1f} m from home, and its own fence {circle[0]} ends at {circle[1]:g} m"
         if 0.0 < ceiling[1] < height and self._vehicle.profile.flies:
             return f"{words} {height:.1f} m up, and its own fence {ceiling[0]} ends at {ceiling[1]:g} m"
         return ""
+
+    async def edges(self) -> tuple[float, float]:
+        """How high and how far from home the fence lets it go, as parameters have it; 0 for as it likes."""
+        ceiling, circle = await self._known_edges()
+        return ceiling[1], circle[1]
+
+    async def _known_edges(self) -> tuple[Edge, Edge]:
+        if self._vehicle.profile.px4:
+            return await self._edges("GF_ACTION", "GF_MAX_VER_DIST", "GF_MAX_HOR_DIST")
+        return await self._switched_edges()
 
     async def perhaps(self) -> str:
         """That its uploaded zones may be why it does not move, to go after what is known; '' without any."""

@@ -47,7 +47,10 @@ _OLD_RECORDS = tuple(
 
 _TEXT, _NUMBER, _COUNT = TypeRecord(STRING), TypeRecord(REAL), TypeRecord(INT)
 _TEXTS, _NUMBERS = TypeRecord(ARRAY, STRING), TypeRecord(ARRAY, REAL)
-_FACT_TYPES = (_TEXT, _TEXT, _TEXT, _NUMBER, _TEXTS, _NUMBERS, _TEXTS, _NUMBERS, _COUNT, _TEXT)
+_FACT_TYPES = (
+    *(_TEXT, _TEXT, _TEXT, _NUMBER, _TEXTS, _NUMBERS, _TEXTS, _NUMBERS),
+    *(_COUNT, _TEXT, _TEXTS, _NUMBER),
+)
 _FACT_SHAPE = list(zip(FACT_FIELDS, _FACT_TYPES, strict=True))
 
 _INT_MIN, _INT_MAX = -(1 << 63), (1 << 63) - 1

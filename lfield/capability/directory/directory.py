@@ -12,36 +12,20 @@ stopped renewing, and all values of a host that was away until it has told every
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
 
 from msgspec import Struct
 
 from lfield.capability.directory.news import SILENCE, Announcer, Condition, News, Sample, Trouble
-from lfield.capability.matching.expression import POSITION
-from lfield.capability.model import Attribute, Live, Registry
+from lfield.capability.directory.showing import Deployed, known_agents, live_attributes, place_of
+from lfield.capability.model import Live, Registry
 from lfield.capability.offer import Candidate, Fact, Place
 from lfield.clock import Clock
 
 #: Answers within so many seconds are the same objects, with the same ages: the matcher goes by that.
 MOMENT = 0.1
-
-
-class Deployed(Protocol):
-    """An agent as the deployment has it."""
-
-    @property
-    def id(self) -> str:
-        """Its name in the mission."""
-
-    @property
-    def type(self) -> str:
-        """Its type in L."""
-
-    @property
-    def host(self) -> str:
-        """Where it lives."""
 
 
 class Links(Protocol):
@@ -95,16 +79,12 @@ class Directory:
     ) -> None:
         self._registry, self._here, self._links, self._clock = registry, here, links, clock
         self._agents: dict[str, Deployed] = {a.id: a for a in agents if a.type in registry.providers}
-        self._numbers = {agent.id: number for number, agent in enumerate(agents)}
         #: The agents of this host, whose conditions `own` wants.
         self.own_agents = [agent.id for agent in self._agents.values() if agent.host == here]
         self._by_type: dict[str, list[Deployed]] = {}
         for agent in self._agents.values():
             self._by_type.setdefault(agent.type, []).append(agent)
-        self._values: dict[str, dict[str, Fact]] = {
-            id: {name: Fact(value) for name, value in registry.agents.get(id, {}).items()}
-            for id in self._agents
-        }
+        self._known = known_agents(registry, agents)
         self._live = {agent.id: live_attributes(registry, agent) for agent in self._agents.values()}
         self._own: dict[str, Condition] = {}
         self._shown: dict[str, _Shown] = {}
@@ -193,18 +173,16 @@ class Directory:
         return shown.candidate
 
     def _show(self, agent: Deployed, condition: Condition, away: float | None, now: float) -> _Shown:
-        facts, unknown, live = self._values[agent.id], condition.unknown, self._live[agent.id]
+        known, told = self._known[agent.id], {}
         trouble = condition.trouble if away is None else Trouble("unreachable", away)
-        if live:
-            facts = _with_ages(facts, condition.samples, self._kept_until(agent.host), now)
-            if len(condition.samples) + len(unknown) < len(live):
-                untold = (name for name in live if name not in facts and name not in unknown)
-                unknown = {**{name: f"{agent.host} has not told {name} yet" for name in untold}, **unknown}
+        if condition.samples:
+            told = _with_ages(condition.samples, self._kept_until(agent.host), now)
         refusal = trouble.sentence(now) if trouble else ""
         hops = 0 if agent.host == self._here else 1
-        number = self._numbers[agent.id]
-        candidate = Candidate(agent.id, agent.type, agent.host, hops, refusal, facts, unknown, number)
-        return _Shown(candidate, condition, away, now + MOMENT if live or trouble else math.inf)
+        untold = f"{agent.host} has not told {{}} yet"
+        candidate = known.shown(hops, refusal, told, condition.unknown, untold)
+        passing = trouble or known.measured
+        return _Shown(candidate, condition, away, now + MOMENT if passing else math.inf)
 
     def _kept_until(self, host: str) -> float:
         """Until when a host surely kept its values up to date; those of this host are as old as they say."""
@@ -215,41 +193,15 @@ class Directory:
         return remote.kept_until if heard is None else max(remote.kept_until, heard)
 
 
-def _with_ages(
-    stated: Mapping[str, Fact], samples: Mapping[str, Sample], kept_until: float, now: float
-) -> dict[str, Fact]:
-    """What is stated and the live values: what is kept has moved on with its host, up to `kept_until`."""
-    facts = dict(stated)
+def _with_ages(samples: Mapping[str, Sample], kept_until: float, now: float) -> dict[str, Fact]:
+    """What was told, as old as it is now: what is kept has moved on with its host, up to `kept_until`."""
+    facts = {}
     for name, sample in samples.items():
+        if sample.of != "measured":
+            facts[name] = Fact(sample.value, 0.0, sample.of)
+            continue
         true_at = sample.when
         if sample.kept and kept_until > sample.at:
             true_at += kept_until - sample.at
-        facts[name] = Fact(sample.value, now - true_at if now > true_at else 0.0)
+        facts[name] = Fact(sample.value, now - true_at if now > true_at else 0.0, "measured")
     return facts
-
-
-def place_of(candidates: Iterable[Candidate], attributes: Mapping[str, Attribute]) -> Place | None:
-    """Where the first of some agents is that tells north and east, and has done so lately."""
-    for candidate in candidates:
-        found = [_fresh(candidate, axis, attributes) for axis in POSITION]
-        if found[0] is not None and found[1] is not None:
-            return found[0], found[1], found[2]
-    return None
-
-
-def _fresh(candidate: Candidate, name: str, attributes: Mapping[str, Attribute]) -> float | None:
-    fact, attribute = candidate.facts.get(name), attributes.get(name)
-    if fact is None or attribute is None or (attribute.live and fact.age > attribute.max_age):
-        return None
-    known = isinstance(fact.value, int | float) and math.isfinite(fact.value)
-    return float(fact.value) if known else None  # type: ignore[arg-type]  # it is a number
-
-
-def live_attributes(registry: Registry, agent: Deployed) -> dict[str, Live]:
-    """The attributes of an agent that come from its devices, in the order of their names.
-
-    What the mission states of an agent counts before what its devices say.
-    """
-    stated = registry.agents.get(agent.id, {})
-    live = registry.providers[agent.type].live
-    return {name: live[name] for name in sorted(live) if name not in stated}

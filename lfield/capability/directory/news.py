@@ -12,10 +12,8 @@ from dataclasses import dataclass
 from msgspec import Struct
 from msgspec.structs import replace
 
-from lfield.capability.model import Attribute
-
-#: What telemetry can say of an attribute.
-Scalar = float | int | bool | str
+from lfield.capability.model import Attribute, Value
+from lfield.capability.offer import Provenance
 
 #: A real value has changed when it differs by more than this part of what is typical of its attribute.
 NOTABLE = 0.005
@@ -41,16 +39,17 @@ class Trouble:
 
 
 class Sample(Struct, frozen=True, gc=False):
-    """A live value that was true at `when`, as it stood when somebody looked, at the time `at`.
+    """A value that was true at `when`, as it stood when somebody looked, at the time `at`.
 
     One that is `kept` never gets older than it was then, as long as something is heard from the host that
-    has it.
+    has it. What was not measured but stated there, or told by a device of itself, does not get older at all.
     """
 
-    value: Scalar
+    value: Value
     when: float
     at: float
     kept: bool = True
+    of: Provenance = "measured"
 
 
 class Condition(Struct, frozen=True):
@@ -128,10 +127,11 @@ class Announcer:
         return None
 
     def _marked(self, name: str, sample: Sample) -> Sample:
-        return replace(sample, kept=sample.at - sample.when <= KEPT * self._attributes[name].max_age)
+        lasts = sample.of != "measured" or sample.at - sample.when <= KEPT * self._attributes[name].max_age
+        return replace(sample, kept=lasts)
 
     def _differs(self, told: Sample | None, now: Sample, name: str) -> bool:
-        if told is None or told.kept != now.kept:
+        if told is None or (told.kept, told.of) != (now.kept, now.of):
             return True
         if not now.kept and abs(now.when - told.when) > JITTER:
             return True

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import lru_cache, partial
 from itertools import combinations
+from typing import get_args
 
 from lfield.capability import ways
 from lfield.capability.matching.evaluate import Facts, evaluator, names
@@ -15,11 +16,13 @@ from lfield.capability.matching.plan import Plan
 from lfield.capability.matching.ranking import ONE_TO_MANY, Ranking
 from lfield.capability.matching.reasons import reasons
 from lfield.capability.model import Composition, Expression, Value
-from lfield.capability.offer import Fact, Offer
+from lfield.capability.offer import Fact, Offer, Provenance
 from lfield.text.suggest import listed
 
 #: Of so many questions it is kept what they ask of the parts.
 KEPT = 64
+#: The less sure first.
+_SURER: Sequence[Provenance] = get_args(Provenance)
 
 
 class Assembly:
@@ -104,7 +107,7 @@ class Assembly:
     def _offer(self, parts: Sequence[Plan], facts: Facts, cost: float) -> Offer:
         rule, offers = self.rule, [part.offer for part in parts]
         known = {
-            name: Fact(facts[name], self._age(names(expression), offers))
+            name: self._fact(facts[name], names(expression), offers)
             for name, _, expression in self._attributes
             if name in facts
         }
@@ -121,11 +124,12 @@ class Assembly:
             self._ranking.terms(ONE_TO_MANY, [rule.loss, len(parts) - 1]),
         )
 
-    def _age(self, looked_at: Sequence[str], offers: Sequence[Offer]) -> float:
-        """How old the oldest of some facts of the parts is."""
+    def _fact(self, value: Value, looked_at: Sequence[str], offers: Sequence[Offer]) -> Fact:
+        """A value of the whole: as old as the oldest of what it is from, and no surer than the least sure."""
         places = [self._place(name) for name in looked_at]
-        found = [offers[index].facts.get(attribute) for index, attribute in places]
-        return max((fact.age for fact in found if fact is not None), default=0.0)
+        found = [fact for index, name in places if (fact := offers[index].facts.get(name)) is not None]
+        least: Provenance = next((of for of in _SURER if any(fact.of == of for fact in found)), "stated")
+        return Fact(value, max((fact.age for fact in found), default=0.0), least)
 
     def _why(self, parts: Sequence[Plan]) -> Callable[[str], str]:
         """Says why an attribute of a part, or of the whole, has no value."""

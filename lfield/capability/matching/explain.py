@@ -188,5 +188,6 @@ def _taken_apart(conditions: Sequence[Expression]) -> tuple[Expression, ...]:
 
 def _unfulfilled(plan: Plan, conditions: Sequence[Expression]) -> tuple[str, ...]:
     """Why a plan does not fulfil conditions; () when it does."""
-    found = (reason for condition in conditions for reason in reasons(condition, plan.values, plan.why))
+    values, why, source = plan.values, plan.why, plan.source
+    found = (reason for condition in conditions for reason in reasons(condition, values, why, source))
     return tuple(dict.fromkeys(found))

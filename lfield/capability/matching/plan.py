@@ -57,6 +57,11 @@ class Plan:
         """Why an attribute has no value."""
         return self.unknown.get(name) or f"{name} is not stated"
 
+    def source(self, name: str) -> str:
+        """Where the value of an attribute is from, where that is not simply stated: ` (nominal)`."""
+        fact = self.offer.facts.get(name)
+        return "" if fact is None or fact.of == "stated" else f" ({fact.source})"
+
 
 def fulfilling(plans: Iterable[Plan], judges: Sequence[Judge]) -> Iterator[Plan]:
     """Those of which all conditions are true, one by one; one that is unknown is not."""

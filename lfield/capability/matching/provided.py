@@ -37,8 +37,13 @@ class Provided:
         self._ranking = ranking
         self._live = {name: attribute.max_age for name, attribute in attributes.items() if attribute.live}
         self._way = ways.direct(provider.type)
+        self._own = served.attributes.keys()
         self._values: dict[str, Value] = {**provider.attributes, **served.attributes}
-        self._facts = {name: Fact(value) for name, value in self._values.items()}
+        nominal = served.nominal | (provider.nominal - served.attributes.keys())
+        self._facts = {
+            name: Fact(value, of="nominal" if name in nominal else "stated")
+            for name, value in self._values.items()
+        }
         self._kept: dict[str, tuple[Candidate, Plan]] = {}
         self._asked: Asked | None = None
         self._counted: Mapping[str, float] = {}
@@ -56,7 +61,7 @@ class Provided:
         if self._when is None:
             return ()
         plan = self.plan(candidate, asked)
-        return reasons(self._when, plan.values, plan.why)
+        return reasons(self._when, plan.values, plan.why, plan.source)
 
     def plan(self, candidate: Candidate, asked: Asked) -> Plan:
         """What a candidate would be, made anew only when something about it changed."""
@@ -77,7 +82,7 @@ class Provided:
         self._asked, self._counted, self._here = asked, counted, asked.here
 
     def _made(self, candidate: Candidate) -> Plan:
-        host, known, staleness = candidate.host, candidate.facts, 0.0
+        host, known, staleness = candidate.host, self._counting(candidate.facts), 0.0
         facts = {**self._facts, **known}
         values = {**self._values, "agent": candidate.agent, "robot": host, "host": host}
         unknown = dict(candidate.unknown)
@@ -93,6 +98,15 @@ class Provided:
         cost, amounts = self._ranking.agent(self.primitive, values, candidate.hops, staleness, self._here)
         make = partial(self._offer, candidate, facts, values, cost, amounts)
         return Plan(make, (cost, 0, (), (candidate.number,)), values, unknown)
+
+    def _counting(self, facts: Mapping[str, Fact]) -> Mapping[str, Fact]:
+        """What is said of a candidate, without what it tells of itself where this primitive says otherwise.
+
+        A copter goes 10 m/s, and what hangs on its winch does not.
+        """
+        if not self._own:
+            return facts
+        return {name: f for name, f in facts.items() if f.of != "told" or name not in self._own}
 
     def _offer(
         self,

@@ -1,4 +1,4 @@
-"""Why a condition is not true, in words: `payload 1.2 < 2.0`, `environment is aerial, not terrestrial`."""
+"""Why a condition is not true, in words: `payload 1.2 < 2.0`, `tools is nothing (nominal), not sling`."""
 
 from __future__ import annotations
 
@@ -16,9 +16,14 @@ _NEGATED: Mapping[str, str] = {"<": ">=", "<=": ">", ">": "<=", ">=": "<"}
 _MIRRORED: Mapping[str, str] = {"<": ">", "<=": ">=", ">": "<", ">=": "<="}
 
 
-def reasons(expression: Expression, facts: Facts, why: Why) -> tuple[str, ...]:
-    """One sentence for each conjunct that is not true, in their order; () when all of them are."""
-    teller = _Teller(facts, why)
+def reasons(
+    expression: Expression, facts: Facts, why: Why, source: Callable[[str], str] = lambda name: ""
+) -> tuple[str, ...]:
+    """One sentence for each conjunct that is not true, in their order; () when all of them are.
+
+    `source` says what is to be added to the value of an attribute: where it is from.
+    """
+    teller = _Teller(facts, why, source)
     return tuple(
         teller.reason(conjunct.tree, True)
         for conjunct in conjuncts(expression)
@@ -29,8 +34,8 @@ def reasons(expression: Expression, facts: Facts, why: Why) -> tuple[str, ...]:
 class _Teller:
     """Tells of conditions over the same facts why they are not what was wanted."""
 
-    def __init__(self, facts: Facts, why: Why) -> None:
-        self._facts, self._why = facts, why
+    def __init__(self, facts: Facts, why: Why, source: Callable[[str], str]) -> None:
+        self._facts, self._why, self._source = facts, why, source
 
     def reason(self, tree: condition.Expr, wanted: bool) -> str:
         """Why this is not `wanted`: it is the other, or unknown."""
@@ -71,14 +76,19 @@ class _Teller:
     def _side(self, tree: condition.Expr) -> str:
         """What is compared, with its value unless it says that itself."""
         text = tree.span.text
-        return text if isinstance(tree, condition.Literal_) else f"{text} {_shown(self._value(tree))}"
+        return text if isinstance(tree, condition.Literal_) else f"{text} {self._said(tree)}"
+
+    def _said(self, tree: condition.Expr) -> str:
+        """A value, and where it is from if it is that of an attribute."""
+        source = self._source(tree.name) if isinstance(tree, condition.Name) else ""
+        return f"{_shown(self._value(tree))}{source}"
 
     def _equality(self, tree: condition.Binary) -> str:
         """Why `==` is false or `!=` is: what is there, and what was wanted if that is something else."""
         left, right = tree.left, tree.right
         if isinstance(left, condition.Literal_):
             left, right = right, left
-        name, value, other = left.span.text, _shown(self._value(left)), _shown(self._value(right))
+        name, value, other = left.span.text, self._said(left), self._said(right)
         equal = value_of(tree)(self._facts) is (tree.operator == "==")
         if isinstance(right, condition.Literal_):
             return f"{name} is {value}" if equal else f"{name} is {value}, not {other}"

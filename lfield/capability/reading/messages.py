@@ -30,6 +30,15 @@ REDEFINED = _message(
     "it is defined in {file}, line {line}; give yours another name",
 )
 
+STATED_AND_NOMINAL = _message(
+    "C106", "'{name}' is stated and nominal at once", "leave out 'nominal', which is for what is only usual"
+)
+TOO_RARE = _message(
+    "C107",
+    "'{name}' is asked every {every} s and counts for {age} s",
+    "ask it more often, or give the attribute a longer 'max_age'",
+)
+
 # --- C11x: the taxonomy ---------------------------------------------------------------------------------
 
 NO_PARENT = _message("C110", "'{id}' has no parent: there is no term '{parent}'", "add the parent as well")
@@ -66,7 +75,7 @@ RESERVED_ATTRIBUTE = _message(
 BAD_LIVE = _message(
     "C129",
     "'{text}' does not say where the value comes from",
-    "write device.quantity, as in fc.battery, or fc.position[0] for one element of an array",
+    "write device.quantity, as in fc.battery or fc.position[0], or a portal that only queries, as in load()",
 )
 
 # --- C13x: primitives -----------------------------------------------------------------------------------
@@ -156,6 +165,17 @@ NO_LIBRARY = _message(
     "C176", "no driver brings a file '{path}'", "leave 'include' out for a type of the mission's own"
 )
 NOT_IN_LIBRARY = _message("C177", "there is no resource type '{type}' in {path}")
+
+LIVE_PORTAL = _message(
+    "C178",
+    "resource {type} has no portal {portal}() that takes nothing",
+    "only such a portal can feed an attribute",
+)
+LIVE_ACTS = _message(
+    "C179",
+    "{type}.{portal}() may do more than query, and a host asks it by itself",
+    "a portal that feeds an attribute commands no device and changes no field",
+)
 
 # --- C19x: warnings -------------------------------------------------------------------------------------
 

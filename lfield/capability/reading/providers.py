@@ -4,8 +4,10 @@
 providers:
   Winch:
     include: can/winch.L
-    attributes: {payload: 50.0, speed: 0.2, environment: [terrestrial]}
-    live: {battery: fc.battery, north: "fc.position[0]", heat: {from: drive.temperature, unit: degC}}
+    attributes: {environment: [terrestrial]}
+    nominal: {payload: 50.0, speed: 0.2}   # usual values: of a single robot somebody may know better
+    live: {battery: fc.battery, north: "fc.position[0]", heat: {from: drive.temperature, unit: degC},
+           load: load(), level: {from: level(), unit: mm, every: 5}}      # portals that only query
     serves:
       Lift:
         when: "tools == winch"             # not every one of the type can
@@ -23,7 +25,7 @@ from collections.abc import Collection
 from dataclasses import replace
 
 from lfield.capability.matching.expression import Scope
-from lfield.capability.model import Live, Provider, Served
+from lfield.capability.model import Live, Provider, Served, Value
 from lfield.capability.reading import messages
 from lfield.capability.reading.draft import TYPE_NAME, Draft
 from lfield.capability.reading.portals import read_portals
@@ -34,7 +36,11 @@ from lfield.text.yaml_fields import Fields
 from lfield.text.yaml_source import Entry, Mapping
 
 _NAME = r"[a-z][A-Za-z0-9_]*"
-_SOURCE = re.compile(rf"(?P<device>{_NAME})\.(?P<quantity>{_NAME})(\[(?P<index>[0-9]{{1,4}})\])?")
+_SOURCE = re.compile(
+    rf"((?P<device>{_NAME})\.(?P<quantity>{_NAME})|(?P<portal>{_NAME})\(\))(\[(?P<index>[0-9]{{1,4}})\])?"
+)
+#: Seconds between two questions to a portal.
+_EVERY, _RAREST = 1.0, 3600.0
 
 
 def read_providers(draft: Draft) -> None:
@@ -56,17 +62,28 @@ def _provider(draft: Draft, entry: Entry, fields: Fields, scope: Scope) -> Provi
     draft.check_name(name, TYPE_NAME, "a resource type", span)
     if name in draft.primitives:
         draft.tell(messages.TYPE_TAKEN, span, name=name, what="a provider")
+    attributes, nominal = _values(draft, fields)
     provider = Provider(
         type=name,
         include=fields.text("include"),
         meaning=fields.text("meaning"),
-        attributes=read_values(draft, fields.section("attributes")),
+        attributes=attributes,
+        nominal=nominal,
         live=_lives(draft, fields.section("live")),
         serves=_serves(draft, fields.section("serves"), scope),
         span=span,
     )
     fields.done()
     return provider
+
+
+def _values(draft: Draft, fields: Fields) -> tuple[dict[str, Value], frozenset[str]]:
+    """What `attributes` states and `nominal` holds to be usual, and which of all these values are so."""
+    stated, usual = fields.section("attributes"), fields.section("nominal")
+    values, nominal = read_values(draft, stated), read_values(draft, usual)
+    for name in values.keys() & nominal.keys():
+        draft.tell(messages.STATED_AND_NOMINAL, usual.key_span(name), name=name)
+    return {**nominal, **values}, frozenset(nominal.keys() - values.keys())
 
 
 def _joined(ours: Provider, mission: Provider) -> Provider:
@@ -76,6 +93,7 @@ def _joined(ours: Provider, mission: Provider) -> Provider:
         include=mission.include or ours.include,
         meaning=mission.meaning or ours.meaning,
         attributes={**ours.attributes, **mission.attributes},
+        nominal=mission.nominal | (ours.nominal - mission.attributes.keys()),
         live={**ours.live, **mission.live},
         serves={**ours.serves, **mission.serves},
     )
@@ -87,10 +105,12 @@ def _serves(draft: Draft, section: Fields, scope: Scope) -> dict[str, Served]:
         primitive = draft.primitive(entry.key, entry.key_span)
         if primitive is None:
             continue
+        attributes, nominal = _values(draft, fields)
         serves[entry.key] = Served(
             primitive=entry.key,
             portals=read_portals(draft, fields, primitive, entry.key_span),
-            attributes=read_values(draft, fields.section("attributes")),
+            attributes=attributes,
+            nominal=nominal,
             when=read_expression(draft, fields.node("when"), scope, "boolean"),
             span=entry.key_span,
         )
@@ -121,9 +141,9 @@ def _lives(draft: Draft, section: Fields) -> dict[str, Live]:
 
 
 def _live(draft: Draft, entry: Entry) -> Live | None:
-    """`fc.battery`, `fc.position[0]`, or `{from: fc.battery, unit: "%"}`."""
+    """`fc.battery`, `fc.position[0]`, `{from: fc.battery, unit: "%"}`, or a portal as `load()`."""
     attribute = draft.attribute(entry.key, entry.key_span)
-    text, place, unit = _source(draft, entry)
+    text, place, unit, every = _source(draft, entry)
     match = _SOURCE.fullmatch(text)
     if match is None:
         draft.tell(messages.BAD_LIVE, place, text=text[:80])
@@ -132,15 +152,19 @@ def _live(draft: Draft, entry: Entry) -> Live | None:
         return None
     factor, offset = read_conversion(draft, unit, attribute.unit, place) if unit else (1.0, 0.0)
     index = int(match["index"]) if match["index"] else None
-    return Live(entry.key, match["device"], match["quantity"], place, factor, offset, index, unit)
+    if match["portal"] and attribute.live and every > attribute.max_age:
+        draft.tell(messages.TOO_RARE, place, name=entry.key, every=f"{every:g}", age=f"{attribute.max_age:g}")
+    device, quantity = match["device"] or "", match["quantity"] or match["portal"]
+    return Live(entry.key, device, quantity, place, factor, offset, index, unit, every)
 
 
-def _source(draft: Draft, entry: Entry) -> tuple[str, Span, str]:
-    """Where a live value comes from, where that stands, and its unit when it is said."""
+def _source(draft: Draft, entry: Entry) -> tuple[str, Span, str, float]:
+    """Where a live value comes from, where that stands, its unit where it is said, how often it is asked."""
     section = Fields(Mapping({entry.key: entry}, entry.key_span), draft.found, "'live'")
     if not isinstance(entry.value, Mapping):
-        return section.text(entry.key), entry.value.span, ""
+        return section.text(entry.key), entry.value.span, "", _EVERY
     fields = section.section(entry.key)
     text, unit = fields.text("from", required=True), fields.text("unit")
+    every = fields.number("every", _EVERY, minimum=_EVERY, maximum=_RAREST)
     fields.done()
-    return text, fields.value_span("from"), unit
+    return text, fields.value_span("from"), unit, every

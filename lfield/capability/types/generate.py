@@ -49,6 +49,7 @@ _FACTS = (
     ("real attribute(string name)", "attribute(name)"),
     ("string text(string name)", "text(name)"),
     ("real age(string name)", "age(name)"),
+    ("string source(string name)", "source(name)"),
     ("int found()", "found()"),
     ("string note()", "note()"),
 )
@@ -123,6 +124,18 @@ class Served:
 
     def _has_all(self, rule: Composition) -> bool:
         return all(need.primitive in self._usable for need in rule.needs.values())
+
+
+def all_ways(registry: Registry, resources: Collection[str]) -> dict[str, frozenset[str]]:
+    """For each primitive the ways in which a program with these resources could have it served."""
+    served = Served(registry, resources)
+    return {name: frozenset(_ways(served, name)) for name in registry.primitives}
+
+
+def _ways(served: Served, primitive: str) -> Iterator[str]:
+    yield from (ways.direct(provider.type) for provider in served.providers(primitive))
+    yield from (ways.equivalent(rule.name) for rule in served.equivalences(primitive))
+    yield from (ways.composed(rule.name) for rule in served.compositions(primitive))
 
 
 def class_text(served: Served, name: str) -> str:

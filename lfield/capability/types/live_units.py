@@ -13,7 +13,7 @@ from lfield.text.source import Diagnostics
 from lfield.text.suggest import did_you_mean, listed
 
 #: Types of telemetry that can be an attribute of each type; an element of an array counts as a number.
-_TELLING: Mapping[str, tuple[str, ...]] = {
+TELLING: Mapping[str, tuple[str, ...]] = {
     "real": ("real", "int"),
     "int": ("int",),
     "boolean": ("boolean",),
@@ -50,6 +50,9 @@ def _settled(
 ) -> Provider:
     lives = {}
     for name, live in provider.live.items():
+        if live.portal:
+            lives[name] = live
+            continue
         manifest = manifests.get(devices.get(live.device, ""))
         if manifest is None:
             hint = did_you_mean(live.device, devices)
@@ -83,7 +86,7 @@ def _from_device(
             )
         )
         return None
-    if _element(quantity, live.index) not in _TELLING[attribute.type]:
+    if element(quantity.type, live.index) not in TELLING[attribute.type]:
         found.add(
             messages.WRONG_QUANTITY.at(
                 live.span,
@@ -97,11 +100,11 @@ def _from_device(
     return _converted(attribute, live, quantity, found)
 
 
-def _element(quantity: Quantity, index: int | None) -> str:
+def element(type: str, index: int | None) -> str:
     """The type of what is read: an element of an array where an index is given."""
     if index is None:
-        return quantity.type
-    return quantity.type.removesuffix("[]") if quantity.type.endswith("[]") else "no array"
+        return type
+    return type.removesuffix("[]") if type.endswith("[]") else "no array"
 
 
 def _converted(attribute: Attribute, live: Live, quantity: Quantity, found: Diagnostics) -> Live | None:

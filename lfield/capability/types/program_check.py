@@ -9,7 +9,9 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
 
-from lfield.capability.model import Composition, Portal, PortalMap, Primitive, Provider, Registry
+from lfield.bytecode.acting import acting_methods
+from lfield.bytecode.program import Program
+from lfield.capability.model import Composition, Live, Portal, PortalMap, Primitive, Provider, Registry
 from lfield.capability.reading import messages
 from lfield.capability.reading.rule_checks import result_type, wrong_result
 from lfield.capability.reading.signatures import (
@@ -21,6 +23,7 @@ from lfield.capability.reading.signatures import (
     signatures_of,
     written,
 )
+from lfield.capability.types.live_units import TELLING, element
 from lfield.errors import InputFileError
 from lfield.lang.parser import parse
 from lfield.text.files import MAX_TEXT, read_bytes
@@ -34,6 +37,43 @@ def check_against(registry: Registry, signatures: Mapping[str, Signature], found
         resource = signatures.get(provider.type)
         if resource is not None and resource.kind == "resource":
             _check_provider(registry, provider, resource, found)
+            for live in provider.live.values():
+                if live.portal:
+                    _check_live(registry, provider, live, resource, found)
+
+
+def _check_live(
+    registry: Registry, provider: Provider, live: Live, resource: Signature, found: Diagnostics
+) -> None:
+    """A portal that feeds an attribute takes nothing, and gives what the attribute can be."""
+    attribute = registry.attributes[live.attribute]
+    results = [result for parameters, result in resource.portals.get(live.portal, ()) if not parameters]
+    if not results:
+        hint = None if live.portal in resource.portals else did_you_mean(live.portal, resource.portals)
+        found.add(messages.LIVE_PORTAL.at(live.span, hint=hint, type=provider.type, portal=live.portal))
+    elif element(results[0], live.index) not in TELLING[attribute.type]:
+        message = messages.WRONG_QUANTITY.at(
+            live.span,
+            attribute=attribute.name,
+            wanted=attribute.type,
+            quantity=f"{live.portal}()",
+            given=results[0],
+        )
+        found.add(message)
+
+
+def check_questions(registry: Registry, program: Program, found: Diagnostics) -> None:
+    """Report portals that feed attributes and may do more than query: a host asks them by itself."""
+    acting = acting_methods(program)
+    acts = {
+        (program.core.classes[record.owner].name, record.name)
+        for method, record in enumerate(program.core.methods)
+        if record.kind == "portal" and not record.parameters and method in acting
+    }
+    for provider in registry.providers.values():
+        for live in provider.live.values():
+            if (provider.type, live.portal) in acts:
+                found.add(messages.LIVE_ACTS.at(live.span, type=provider.type, portal=live.portal))
 
 
 def check_types(

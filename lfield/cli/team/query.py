@@ -15,10 +15,11 @@ MAX_TEAM = 1000
 
 if TYPE_CHECKING:
     from lfield.capability.matching.matcher import Matcher
-    from lfield.capability.model import Primitive, Registry
+    from lfield.capability.model import Primitive
     from lfield.cli.views.query_view import Answer, Known
     from lfield.mission.team import Team
     from lfield.operator.addressed import Party
+    from lfield.operator.query import Asked
     from lfield.operator.question import Question
 
 
@@ -57,16 +58,17 @@ def run(args: argparse.Namespace) -> int:
     from lfield.cli.views import query_view
     from lfield.operator.addressed import only_mission, open_team
     from lfield.operator.ask import tell_silent
-    from lfield.operator.query import mission_registry
+    from lfield.operator.query import read_asked
     from lfield.operator.question import read_question
 
     path = named_mission(args) or only_mission(meant_runs(args))
     team = open_team(path)
-    registry = mission_registry(path, team, args.capabilities)
+    asked = read_asked(path, team, args.capabilities)
+    registry = asked.registry
     question = read_question(args.query, registry)
     at = team.lookup(args.at) if args.at else ""
-    known = _known(args, team, registry, at)
-    matcher = Matcher(registry, known.team)
+    known = _known(args, team, asked, at)
+    matcher = Matcher(registry, known.team, asked.ways)
     answers = [_answer(matcher, primitive, question, args.team) for primitive in question.primitives]
     tell_silent(known.silent)
     if args.json:
@@ -88,21 +90,23 @@ def _answer(matcher: Matcher, primitive: Primitive, question: Question, size: in
     return Answer(primitive, found.offers, found.count, refusals, notes, formed.teams)
 
 
-def _known(args: argparse.Namespace, team: Team, registry: Registry, at: str) -> Known:
+def _known(args: argparse.Namespace, team: Team, asked: Asked, at: str) -> Known:
     from lfield.cli.views.query_view import Known
     from lfield.errors import AddressError
-    from lfield.operator.ask import STATUS, ask_parties, by_host, silent
+    from lfield.operator.ask import ask_parties, by_host, patiently, silent
     from lfield.operator.query import from_files, from_hosts, views_of
 
     party = None if args.files else _only(meant_parties(args, meant_runs(args)))
-    answers = by_host(ask_parties([party], STATUS), party) if party else {}
+    answers = by_host(ask_parties([party], patiently()), party) if party else {}
     views, errors = views_of(answers), silent(answers)
     # Where nobody listens at all nothing runs, which is no problem; anything else is one.
     nobody = not views and all(isinstance(error, AddressError) for error in errors.values())
     told = {} if nobody else errors
     if not views:
-        return Known(from_files(registry, team.deployed, at), silent=told)
-    return Known(from_hosts(registry, team.deployed, views, errors.keys(), at), tuple(views), told)
+        return Known(from_files(asked.registry, team.deployed, at, asked.stated), silent=told)
+    if at in errors:
+        raise errors[at]
+    return Known(from_hosts(asked.registry, team.deployed, views, errors.keys(), at), tuple(views), told)
 
 
 def _only(parties: list[Party]) -> Party:

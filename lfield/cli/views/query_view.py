@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import groupby
 from typing import TYPE_CHECKING, Any
 
 from lfield.capability.matching.explain import render
@@ -96,23 +97,19 @@ class _Attributes:
         self._named = named(question.constraint)
 
     def words(self, facts: Mapping[str, Fact], most: int = SHOWN) -> str:
-        """`payload 2 kg, battery 0.8 (3 s old)`, and how many there are besides."""
+        """`nominal: payload 2 kg, speed 3 m/s; measured 3.0 s ago: battery 0.8`, and how many more."""
         first = sorted(facts, key=lambda name: (name not in self._named, not self._is_rated(name)))
-        words = [self._word(name, facts[name]) for name in first[:most]]
+        alike = groupby(first[:most], key=lambda name: facts[name].source)
+        words = [f"{source}: {', '.join(self._word(n, facts[n]) for n in names)}" for source, names in alike]
         words += [f"and {len(first) - most} more"] if len(first) > most else []
-        return ", ".join(words)
+        return "; ".join(words)
 
     def _is_rated(self, name: str) -> bool:
         attribute = self._registry.attributes.get(name)
         return attribute is not None and attribute.better != "none"
 
     def _word(self, name: str, fact: Fact) -> str:
-        text = f"{name} {worth(fact.value, unit_of(self._registry, name))}"
-        return f"{text} ({_age(fact.age)} old)" if fact.age else text
-
-
-def _age(seconds: float) -> str:
-    return f"{seconds:.1f} s" if seconds < 10.0 else f"{seconds:.0f} s"
+        return f"{name} {worth(fact.value, unit_of(self._registry, name))}"
 
 
 def _show_offers(offers: Sequence[Offer], attributes: _Attributes) -> None:
@@ -223,7 +220,7 @@ def parts_of(offer: Offer) -> dict[str, Offer]:
 
 def _fact(name: str, fact: Fact, registry: Registry) -> dict[str, Any]:
     value = sorted(fact.value) if isinstance(fact.value, frozenset) else fact.value
-    return {"value": value, "unit": unit_of(registry, name), "age": round(fact.age, 3)}
+    return {"value": value, "unit": unit_of(registry, name), "age": round(fact.age, 3), "source": fact.of}
 
 
 def _refusal(refusal: Refusal) -> dict[str, Any]:

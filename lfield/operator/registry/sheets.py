@@ -6,7 +6,7 @@ to the one above it.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 
 from lfield.capability.model import (
@@ -115,12 +115,13 @@ def _stated_by(registry: Registry, attribute: Attribute) -> Iterator[str]:
     name, unit = attribute.name, attribute.unit
     for type, provider in sorted(registry.providers.items()):
         if name in provider.attributes:
-            yield f"{type}: {worth(provider.attributes[name], unit)}"
+            yield f"{type}: {worth(provider.attributes[name], unit)}{_usual(name, provider.nominal)}"
         if name in provider.live:
-            yield f"{type}: live, {code(f'{provider.live[name].device}.{provider.live[name].quantity}')}"
+            yield f"{type}: {'live' if attribute.live else 'told'}, {_source(provider.live[name])}"
         for served in provider.serves.values():
             if name in served.attributes:
-                yield f"{type}, for {served.primitive}: {worth(served.attributes[name], unit)}"
+                said = f"{worth(served.attributes[name], unit)}{_usual(name, served.nominal)}"
+                yield f"{type}, for {served.primitive}: {said}"
     for agent, values in registry.agents.items():
         if name in values:
             yield f"agent {agent}: {worth(values[name], unit)}"
@@ -198,7 +199,7 @@ def provider_sheet(registry: Registry, provider: Provider) -> Sheet:
     rows = {
         "meaning": provider.meaning,
         "source": code(f"include <{provider.include}>;") if provider.include else "the mission's own",
-        "states": _values(registry, provider.attributes),
+        "states": _values(registry, provider.attributes, provider.nominal),
         "tells": [f"{name}: {_source(live)}" for name, live in provider.live.items()],
         "serves": [line for s in provider.serves.values() for line in _served(registry, provider, s)],
     }
@@ -207,20 +208,24 @@ def provider_sheet(registry: Registry, provider: Provider) -> Sheet:
 
 def _source(live: Live) -> str:
     index = "" if live.index is None else f"[{live.index}]"
-    return code(f"{live.device}.{live.quantity}{index}")
+    return code(f"{live.portal}(){index}" if live.portal else f"{live.device}.{live.quantity}{index}")
 
 
 def _served(registry: Registry, provider: Provider, served: Served) -> Iterator[str]:
     yield f"{served.primitive}{_when(served.when)}"
     for mapped in served.portals.values():
         yield f"    {mapped.portal}: {_call(provider.type, mapped)}"
-    for line in _values(registry, served.attributes):
+    for line in _values(registry, served.attributes, served.nominal):
         yield f"    {line}"
 
 
-def _values(registry: Registry, values: Mapping[str, Value]) -> Iterator[str]:
+def _values(registry: Registry, values: Mapping[str, Value], nominal: Collection[str]) -> Iterator[str]:
     for name, value in values.items():
-        yield f"{name}: {worth(value, registry.attributes[name].unit)}"
+        yield f"{name}: {worth(value, registry.attributes[name].unit)}{_usual(name, nominal)}"
+
+
+def _usual(name: str, nominal: Collection[str]) -> str:
+    return ", nominal" if name in nominal else ""
 
 
 # --- rules --------------------------------------------------------------------------------------------

@@ -9,11 +9,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import replace
 
-from lfield.capability.directory.directory import live_attributes
+from msgspec.structs import replace
+
 from lfield.capability.directory.news import Condition, Sample
+from lfield.capability.directory.showing import live_attributes
 from lfield.capability.model import AttributeType
+from lfield.capability.offer import Provenance
 from lfield.errors import DoubleError
 from lfield.mission.mission import Mission
 from lfield.simulate.fleet import Life
@@ -45,7 +47,8 @@ def attach(
 
     def say(agent: str, condition: Condition) -> None:
         if agent == member.id:
-            samples = said()
+            bound = {name: s for name, s in condition.samples.items() if s.of == "stated"}
+            samples = {**said(), **bound}
             silent = f"the double of {agent} does not say it"
             unknown = {name: silent for name in condition.unknown if name not in samples}
             condition = replace(condition, samples=samples, unknown=unknown)
@@ -80,7 +83,12 @@ def _samples(mission: Mission, member: Member, told: object, now: float) -> dict
             raise DoubleError(
                 f"the double of {member.id} says {name} = {value!r}, which is no {known[name]}: give one"
             )
-    return {name: Sample(value, now, now) for name, value in told.items()}
+    return {name: Sample(value, now, now, of=_of(mission, name)) for name, value in told.items()}
+
+
+def _of(mission: Mission, name: str) -> Provenance:
+    """A double measures what is live, and gives its word for the rest."""
+    return "measured" if mission.registry is not None and mission.registry.attributes[name].live else "told"
 
 
 def _known(mission: Mission, member: Member) -> dict[str, AttributeType]:

@@ -25,7 +25,7 @@ from lfield.devices.guards import Guards
 from lfield.host.directory import LOOK_EVERY
 from lfield.host.host import Host, Options
 from lfield.host.logbook import Logbook
-from lfield.host.reports import Reports
+from lfield.host.telling.reports import Reports
 from lfield.loop import run
 from lfield.manifest import Observation
 from lfield.mission.load import load_mission

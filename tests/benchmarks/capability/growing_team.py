@@ -194,7 +194,7 @@ class FirstHost:
         self._machine = Machine(mission.program, members, 0, 1, self._desk, self._clock, random.Random(3))
         here = mission.team.hosts[0]
         nearby = Nearby(self._clock, self._chance)
-        self._directory = TeamDirectory(mission, here, 1, self._machine.agents, nearby, self._clock)
+        self._directory = TeamDirectory(mission, here, 1, self._machine, nearby, self._clock)
         self._desk.machine, self._desk.offering = self._machine, Offers(self._directory, mission)
         self._others: dict[str, list[str]] = {}
         for agent in mission.team.deployed:

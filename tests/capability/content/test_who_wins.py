@@ -3,21 +3,28 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import cast
 
 import pytest
 
+from lfield.capability.directory.directory import Directory
+from lfield.capability.directory.news import Trouble
 from lfield.capability.matching.matcher import Matcher
 from lfield.capability.model import Registry
 from lfield.capability.reading.reader import read_registry
-from lfield.operator.query import from_hosts
-from lfield.wire.observing import Told, ToldFact
+from lfield.clock import ManualClock
+from lfield.host.telling.sampling import Sampler
+from lfield.manifest import Observation
+from lfield.vm.agent import Agent
 
 GUIDE = Path(__file__).parents[3] / "lfield" / "docs" / "capabilities.md"
 
 #: The places in which an attribute can be stated, and the value that each of these tests states there.
-VALUES = {"type": 1.0, "primitive": 2.0, "device": 3.0, "agent": 4.0}
+VALUES = {"type": 1.0, "device's word": 2.0, "primitive": 3.0, "device": 4.0, "binding": 5.0, "agent": 6.0}
+#: An attribute is measured or it is not.
+NEVER = {"device", "device's word"}
 
 
 def cells() -> Iterator[tuple[str, str, str]]:
@@ -27,21 +34,22 @@ def cells() -> Iterator[tuple[str, str, str]]:
     for line in table.splitlines():
         row, *answers = (re.sub(r"the | \(.*\)", "", cell).strip() for cell in line.strip("|").split("|"))
         for column, answer in zip(VALUES, answers, strict=True):
-            yield row, column, answer
+            if {row, column} != NEVER:
+                yield row, column, answer
 
 
 def registry_of(folder: Path, stated: Sequence[str]) -> Registry:
     """A registry that states the payload of a crane in some places."""
-    own, served, live, agents = (
-        f"payload: {VALUES[place]}" if place in stated else ""
-        for place in ("type", "primitive", "device", "agent")
+    own, served, agents = (
+        f"payload: {VALUES[place]}" if place in stated else "" for place in ("type", "primitive", "agent")
     )
-    live = "payload: scale.load" if live else ""
+    live = "payload: scale.load" if NEVER.intersection(stated) else ""
+    measured = str("device's word" not in stated).lower()
     path = folder / "crane.yaml"
     path.write_text(
         "registry: 1\n"
         "taxonomy: {skill: {meaning: all}}\n"
-        "attributes: {payload: {type: real, unit: kg, live: true, max_age: 10.0}}\n"
+        f"attributes: {{payload: {{type: real, unit: kg, live: {measured}, max_age: 10.0}}}}\n"
         "primitives: {Lift: {id: skill, portals: {lift: {}}}}\n"
         "providers:\n"
         f"  Crane: {{attributes: {{{own}}}, live: {{{live}}},\n"
@@ -52,34 +60,68 @@ def registry_of(folder: Path, stated: Sequence[str]) -> Registry:
     return read_registry([path])
 
 
-def payload(registry: Registry, told: dict[str, ToldFact]) -> float | None:
-    """What counts in the end, when the host of the crane tells that of it."""
-    (crane,) = [Told("crane", "", told, {})]
-    team = from_hosts(registry, [_Crane()], {"yard": {"crane": crane}}, ())
-    (offer,) = Matcher(registry, team).offers("Lift")
+def payload(registry: Registry, stated: Sequence[str] = (), load: Observation | None = None) -> float | None:
+    """What counts in the end on the host of the crane, whose device has told that load."""
+    bound = {"crane": {"payload": VALUES["binding"]}} if "binding" in stated else {}
+    yard, clock = _Yard(load), ManualClock()
+    directory = Directory(registry, [_Crane()], "yard", yard, clock)
+    agents = {"crane": cast("Agent", _Crane())}
+    sampler = Sampler(registry.attributes, agents, {"crane": ["scale"]}, yard, _Silent(), clock, bound)
+    directory.own("crane", sampler.condition("crane", directory.live("crane")))
+    (offer,) = Matcher(registry, directory).offers("Lift")
     fact = offer.facts.get("payload")
     return None if fact is None else float(fact.value)  # type: ignore[arg-type]  # a number
 
 
 class _Crane:
-    id, type, host = "crane", "Crane", "yard"
+    id, type, host, ended = "crane", "Crane", "yard", ""
+
+
+class _Silent:
+    """Portals that nobody asks."""
+
+    def last(self, agent: str, portal: str) -> Observation | str | None:
+        return None
+
+
+class _Yard:
+    """The devices of the yard, and its links."""
+
+    away: Mapping[str, float] = {}
+
+    def __init__(self, load: Observation | None) -> None:
+        self._load = load
+
+    def last(self, device: str, quantity: str) -> Observation | None:
+        return self._load
+
+    def trouble(self, device: str) -> Trouble | None:
+        return None
+
+    def last_heard(self, host: str) -> float | None:
+        return None
 
 
 @pytest.mark.parametrize(("row", "column", "answer"), list(cells()))
 def test_who_wins(tmp_path: Path, row: str, column: str, answer: str) -> None:
-    stated = {row, column}
-    told = {"payload": ToldFact(VALUES["device"], 0.4)} if "device" in stated else {}
-    assert payload(registry_of(tmp_path, sorted(stated)), told) == VALUES[answer]
+    stated = sorted({row, column})
+    said = next((VALUES[place] for place in stated if place in NEVER), None)
+    load = None if said is None else Observation(said, ManualClock().monotonic() - 0.4)
+    assert payload(registry_of(tmp_path, stated), stated, load) == VALUES[answer]
 
 
 def test_the_table_has_every_pair() -> None:
     found = [(row, column) for row, column, _ in cells()]
-    assert found == [(row, column) for row in VALUES for column in VALUES]
+    assert found == [(row, column) for row in VALUES for column in VALUES if {row, column} != NEVER]
 
 
-@pytest.mark.parametrize("told", [{}, {"payload": ToldFact(3.0, 10.5)}])
+@pytest.mark.parametrize("age", [None, 10.5])
 @pytest.mark.parametrize("also", ["type", "primitive"])
-def test_what_a_device_does_not_tell_is_not_known(
-    tmp_path: Path, also: str, told: dict[str, ToldFact]
-) -> None:
-    assert payload(registry_of(tmp_path, ["device", also]), told) is None
+def test_what_a_device_does_not_measure_is_not_known(tmp_path: Path, also: str, age: float | None) -> None:
+    load = None if age is None else Observation(3.0, ManualClock().monotonic() - age)
+    assert payload(registry_of(tmp_path, ["device", also]), load=load) is None
+
+
+@pytest.mark.parametrize("also", ["type", "primitive"])
+def test_for_what_a_device_does_not_tell_of_itself_its_type_speaks(tmp_path: Path, also: str) -> None:
+    assert payload(registry_of(tmp_path, ["device's word", also])) == VALUES[also]

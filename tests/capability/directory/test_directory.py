@@ -7,7 +7,7 @@ from directory_team import AGENTS, REGISTRY, Seat
 
 from lfield.capability.directory.directory import MOMENT
 from lfield.capability.directory.news import Condition, Trouble
-from lfield.host.reports import Reports
+from lfield.host.telling.reports import Reports
 
 
 @pytest.fixture

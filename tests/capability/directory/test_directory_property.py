@@ -9,7 +9,7 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, pr
 
 from lfield.capability.directory.directory import MOMENT
 from lfield.capability.directory.news import Condition, Sample, Trouble
-from lfield.host.reports import Reports
+from lfield.host.telling.reports import Reports
 from lfield.wire.codec import decode, encode
 from lfield.wire.framing import HEADER_SIZE
 

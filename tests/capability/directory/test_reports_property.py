@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from lfield.capability.directory.news import Condition, News, Sample, Trouble
 from lfield.errors import WireError
-from lfield.host.reports import Reports
+from lfield.host.telling.reports import Reports
 from lfield.wire.codec import decode, encode
 from lfield.wire.framing import HEADER_SIZE
 from lfield.wire.messages import AgentReport, FactReport, Report

@@ -8,7 +8,7 @@ import re
 import pytest
 
 from lfield.cli.main import main
-from lfield.errors import AddressError, GreetingError
+from lfield.errors import AddressError, GreetingError, WireError
 from lfield.wire.observing import Status, Told, ToldFact
 
 CAPABILITIES = """\
@@ -57,7 +57,8 @@ def ask(folder, capsys):
     return asked
 
 
-def test_offers_as_a_table_and_what_is_composed_as_a_tree(ask):
+def test_offers_as_a_table_and_what_is_composed_as_a_tree(ask, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "140")
     status, out, err = ask("Lift where payload >= 0.1")
     assert (status, err) == (0, [])
     assert out == [
@@ -65,24 +66,25 @@ def test_offers_as_a_table_and_what_is_composed_as_a_tree(ask):
         "",
         "Lift (skill.material_handling.lifting)",
         "RANK  WHO        HOST     HOW                         SCORE  ATTRIBUTES",
-        "   1  arm1       alpha    direct                      0.xxx  payload 20 kg, speed 0.5 m/s, "
+        "   1  arm1       alpha    direct                      0.xxx  stated: payload 20 kg, speed 0.5 m/s, "
         "environment terrestrial",
-        "   2  arm2       bravo    direct                      0.xxx  payload 1.2 kg, speed 0.5 m/s, "
+        "   2  arm2       bravo    direct                      0.xxx  stated: payload 1.2 kg, speed 0.5 m/s, "
         "environment terrestrial",
-        "   3  mast       charlie  by climb-lifts              0.xxx  payload 3 kg, speed 0.2 m/s, "
+        "   3  mast       charlie  by climb-lifts              0.xxx  stated: payload 3 kg, speed 0.2 m/s, "
         "accuracy 0.02 m, tools sling",
-        "   4  hand+mast  charlie  composed by grip-and-climb  0.xxx  payload 0.4 kg, accuracy 0.02 m, "
-        "speed 0.2 m/s",
+        "   4  hand+mast  charlie  composed by grip-and-climb  0.xxx  stated: payload 0.4 kg, "
+        "accuracy 0.02 m, speed 0.2 m/s",
         "",
         "4: composed by grip-and-climb",
-        "  grip: hand at charlie, direct Grip; payload 0.4 kg, accuracy 0.01 m",
-        "  climb: mast at charlie, direct Climb; payload 3 kg, speed 0.2 m/s, accuracy 0.02 m, tools sling",
+        "  grip: hand at charlie, direct Grip; stated: payload 0.4 kg, accuracy 0.01 m",
+        "  climb: mast at charlie, direct Climb; stated: payload 3 kg, speed 0.2 m/s, "
+        "accuracy 0.02 m, tools sling",
     ]
 
 
 def test_what_the_condition_names_stands_first(ask):
     _, out, _ = ask("Lift where speed >= 0.5")
-    assert "0.xxx  speed 0.5 m/s, payload 20 kg, environment terrestrial" in out[4]
+    assert "0.xxx  stated: speed 0.5 m/s, payload 20 kg, environment terrestrial" in out[4]
 
 
 def test_explained(ask):
@@ -155,8 +157,13 @@ def test_json(ask):
     fitness = sum(share["share"] * share["penalty"] for share in shares)
     assert fitness == pytest.approx(first["terms"]["fitness"]["amount"])
     assert (first["agent"], first["kind"], first["rule"], first["parts"]) == ("arm1", "direct", None, {})
-    assert first["attributes"]["payload"] == {"value": 20.0, "unit": "kg", "age": 0.0}
-    assert first["attributes"]["environment"] == {"value": ["terrestrial"], "unit": "", "age": 0.0}
+    assert first["attributes"]["payload"] == {"value": 20.0, "unit": "kg", "age": 0.0, "source": "stated"}
+    assert first["attributes"]["environment"] == {
+        "value": ["terrestrial"],
+        "unit": "",
+        "age": 0.0,
+        "source": "stated",
+    }
     assert (third["kind"], third["rule"], list(third["parts"])) == ("equivalent", "climb-lifts", ["by"])
     assert third["parts"]["by"]["primitive"] == "Climb"
     assert {need: part["agent"] for need, part in fourth["parts"].items()} == {
@@ -295,10 +302,10 @@ def test_live_values_have_an_age(told):
     status, out, err = told({"alpha": alpha}, "Lift where battery >= 0.25")
     assert (status, err) == (0, [])
     assert out[0] == "from the running team: 1 of 1 hosts answered"
-    assert "battery 0.5 (2.5 s old), payload 20 kg" in out[4]
+    assert "measured 2.5 s ago: battery 0.5; stated: payload 20 kg" in out[4]
     _, out, _ = told({"alpha": alpha}, "Lift where battery >= 0.25", "--json")
     (offer,) = json.loads("\n".join(out))["capabilities"][0]["offers"]
-    assert offer["attributes"]["battery"] == {"value": 0.5, "unit": "", "age": 2.54}
+    assert offer["attributes"]["battery"] == {"value": 0.5, "unit": "", "age": 2.54, "source": "measured"}
 
 
 def test_who_cannot_be_called_and_who_does_not_answer(told):
@@ -324,6 +331,34 @@ def test_hosts_that_refuse_are_told(told):
 def test_hosts_cannot_write_to_the_terminal(told):
     _, out, _ = told({"alpha": directory(arm1=("\x1b[2J\x07 gone", {}))}, "Lift", "--explain")
     assert "  arm1: ·[2J· gone" in out
+
+
+def test_the_host_that_is_asked_answers_or_nobody_does(told):
+    """The others would answer something else: that a host is late must not change the answer."""
+    silent = WireError("bravo does not answer in time")
+    alpha = directory(arm1=("", {"battery": [0.5, 2.54]}), arm2=("unreachable for 3 s", {}))
+    status, out, err = told({"alpha": alpha, "bravo": silent}, "Lift", "--at", "bravo")
+    assert (status, out) == (WireError.exit_status, [])
+    assert "bravo does not answer in time" in err[0]
+    status, out, _ = told({"alpha": alpha, "bravo": silent}, "Lift", "--at", "alpha", "--explain")
+    assert status == 0
+    assert "  arm2: unreachable for 3 s" in out
+
+
+def test_what_the_devices_file_states_counts_without_hosts_too(folder, ask):
+    (folder / "mission.L").write_text(
+        "resource Hoist { init(string[] arg) { } portal lift(real height) emit real { return height; }\n"
+        "portal lower(real height) emit real { return height; } }\n"
+        "coordinator Idle { init(string[] arg) { Lift[] who = findLift(); } }\n"
+    )
+    (folder / "mission.dL").write_text("//Hoist:arm1@alpha\n//Hoist:arm2@bravo\n//Idle:idle@alpha\n")
+    (folder / "mission.capabilities.yaml").write_text(
+        "registry: 1\nproviders: {Hoist: {nominal: {payload: 2.0}, serves: {Lift: {}}}}\n"
+    )
+    (folder / "mission.devices.yaml").write_text("agents: {arm1: {attributes: {mass: 7 kg}}}")
+    _, out, _ = ask("Lift where mass == 7")
+    assert [line.split()[1] for line in out[4:]] == ["arm1"]
+    assert "stated: mass 7 kg" in out[4]
 
 
 def test_every_term_of_a_score_is_told(ask):
@@ -363,7 +398,7 @@ def test_a_team_of_nobody_is_refused(ask, capsys, size):
 def test_an_order_and_a_limit(ask):
     status, out, _ = ask("Lift where payload >= 0.1 order by payload limit 2")
     assert status == 0
-    assert [line.split()[1] for line in out if line.startswith("   ")][:2] == ["hand+mast", "arm2"]
+    assert [line.split()[1] for line in out if re.match(r"   \d", line)] == ["hand+mast", "arm2"]
     assert out[-1] == "the best 2 of 4 offers are given"
     assert ask("Lift limit 1")[1][-1] == "the best 1 of 4 offers are given"
     assert ask("Lift order by endurance")[1][-1] == "endurance is known of nobody: it orders nothing"

@@ -48,7 +48,7 @@ def test_a_whole_flight(bench):
 
 def test_it_asks_for_streams_and_reports_the_failsafe(bench):
     b = bench()
-    b.run(lambda fc: asyncio.sleep(1.0))
+    b.run(lambda fc: asyncio.sleep(3.0))
     told = {quantity.name for quantity in b.driver.manifests["Mavlink"].device.telemetry}
     # ArduCopter tells nothing of a fence that is off.
     assert told - {"winchLine", "fenceBreached"} <= set(b.values)
@@ -526,3 +526,27 @@ def test_an_autopilot_without_intervals_is_asked_for_groups(bench, monkeypatch):
     b = bench()
     b.run(lambda fc: asyncio.sleep(2.0))
     assert {"position", "globalPosition", "attitude", "groundSpeed", "battery"} <= set(b.values)
+
+
+FENCED = {"FENCE_ENABLE": 1, "FENCE_TYPE": 3, "FENCE_RADIUS": 80.0, "FENCE_ALT_MAX": 30.0}
+
+
+@pytest.mark.parametrize(
+    ("options", "parameters", "told"),
+    [
+        ({}, {}, ("multirotor", 10.0, 1.0e6, 1.0e6)),
+        ({}, FENCED, ("multirotor", 10.0, 80.0, 30.0)),
+        ({"limits": {"speed": 4.0}}, {}, ("multirotor", 4.0, 1.0e6, 1.0e6)),
+    ],
+)
+def test_it_tells_what_it_is_how_fast_it_goes_and_where_its_fence_ends(bench, options, parameters, told):
+    b = bench(**options)
+
+    async def mission(fc):
+        for name, value in parameters.items():
+            await fc.execute("setParameter", [name, float(value)])
+        await asyncio.sleep(40.0)
+
+    b.run(mission)
+    names = ("chassis", "speedLimit", "fenceRadius", "fenceHeight")
+    assert tuple(b.values[name] for name in names) == told

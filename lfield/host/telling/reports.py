@@ -8,11 +8,12 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from lfield.capability.directory.directory import Deployed, live_attributes
-from lfield.capability.directory.news import Condition, News, Sample, Scalar, Trouble
-from lfield.capability.model import Attribute, Registry
+from lfield.capability.directory.news import Condition, News, Sample, Trouble
+from lfield.capability.directory.showing import Deployed
+from lfield.capability.model import Attribute, Registry, Value
+from lfield.capability.offer import Provenance
 from lfield.errors import WireError
-from lfield.wire.fields import MAX_LABEL, age, clip
+from lfield.wire.fields import MAX_LABEL, FactValue, ToldBy, age, clip
 from lfield.wire.messages import AgentReport, FactReport, Report
 
 
@@ -20,17 +21,10 @@ class Reports:
     """Writes and reads the reports of a mission; `agents` in the order of the deployment."""
 
     def __init__(self, registry: Registry, agents: Sequence[Deployed]) -> None:
-        self._agents = agents
+        self._agents, self._providers = agents, registry.providers.keys()
         self._numbers = {agent.id: number for number, agent in enumerate(agents)}
-        self._live = {
-            agent.id: [registry.attributes[name] for name in live_attributes(registry, agent)]
-            for agent in agents
-            if agent.type in registry.providers
-        }
-        self._places = {
-            id: {attribute.name: place for place, attribute in enumerate(live)}
-            for id, live in self._live.items()
-        }
+        self._attributes = [attribute for _, attribute in sorted(registry.attributes.items())]
+        self._places = {attribute.name: place for place, attribute in enumerate(self._attributes)}
 
     def write(self, news: News, now: float) -> Report:
         """The report of this host's news; `now` is its monotonic clock."""
@@ -38,14 +32,15 @@ class Reports:
         return Report(news.life, news.since, news.sequence, agents)
 
     def _write_agent(self, agent: str, change: Condition, now: float) -> AgentReport:
-        places, trouble = self._places[agent], change.trouble
+        places, trouble = self._places, change.trouble
         lasting = None if trouble is None or trouble.since is None else age(now - trouble.since)
         facts = [
             FactReport(
                 places[name],
-                clip(s.value, MAX_LABEL) if isinstance(s.value, str) else s.value,
+                sorted(s.value) if isinstance(s.value, frozenset) else s.value,
                 age((s.at if s.kept else now) - s.when),
                 s.kept,
+                said(s.of),
             )
             for name, s in change.samples.items()
         ]
@@ -58,7 +53,7 @@ class Reports:
         agents: dict[str, Condition] = {}
         for told in report.agents:
             agent = self._agents[told.agent] if told.agent < len(self._agents) else None
-            if agent is None or agent.host != host or agent.id not in self._live:
+            if agent is None or agent.host != host or agent.type not in self._providers:
                 raise WireError(f"{host} reports on agent {told.agent}, which is none of its")
             agents[agent.id] = self._read_agent(agent.id, told, now)
         return News(report.life, report.since, report.sequence, agents)
@@ -70,18 +65,23 @@ class Reports:
         for fact in told.facts:
             attribute = self._attribute(agent, fact.attribute)
             value = _value(agent, attribute, fact.value)
-            samples[attribute.name] = Sample(value, now - fact.age, now, fact.kept)
+            samples[attribute.name] = Sample(value, now - fact.age, now, fact.kept, fact.of)
         unknown = {self._attribute(agent, place).name: why for place, why in told.unknown}
         return Condition(trouble, samples, unknown)
 
     def _attribute(self, agent: str, place: int) -> Attribute:
-        live = self._live[agent]
-        if place >= len(live):
-            raise WireError(f"a report names live attribute {place} of {agent}, which has {len(live)}")
-        return live[place]
+        known = self._attributes
+        if place >= len(known):
+            raise WireError(f"a report names attribute {place} of {agent}, and there are {len(known)}")
+        return known[place]
 
 
-def _value(agent: str, attribute: Attribute, value: Scalar) -> Scalar:
+def said(of: Provenance) -> ToldBy:
+    """Where a value is from, as a host tells it: what is usual of a type nobody has to tell."""
+    return "stated" if of == "nominal" else of
+
+
+def _value(agent: str, attribute: Attribute, value: FactValue) -> Value:
     """A value that came, as one of its attribute. Raises WireError."""
     match attribute.type:
         case "boolean" if isinstance(value, bool):
@@ -92,4 +92,6 @@ def _value(agent: str, attribute: Attribute, value: Scalar) -> Scalar:
             return value
         case "text" if isinstance(value, str):
             return value
+        case "set" if isinstance(value, list):
+            return frozenset(value)
     raise WireError(f"a report says {value!r} for {attribute.name} of {agent}, which is no {attribute.type}")

@@ -1,0 +1,1 @@
+"""What the host itself asks the resources that it runs."""

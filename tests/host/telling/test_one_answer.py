@@ -1,0 +1,105 @@
+"""A question has one answer, whoever asks: a program on a host, or `lfield query --at` that host."""
+
+from __future__ import annotations
+
+import asyncio
+
+import pytest
+from msgspec import msgpack
+
+from lfield.capability.matching.explain import render
+from lfield.capability.matching.expression import compile_wish
+from lfield.capability.matching.matcher import Matcher
+from lfield.host.offers import found
+from lfield.manifest import Observation
+from lfield.operator.query import from_hosts, read_asked
+from lfield.wire.observing import Status
+
+PROGRAM = """
+resource Hoist {
+    Mavlink fc;
+    init(string[] arg) { while (true) yield(); }
+    portal lift(real height) emit real { return height; }
+    portal lower(real height) emit real { return height; }
+}
+resource Winch {
+    init(string[] arg) { while (true) yield(); }
+    portal unwind(real height) { }
+}
+coordinator Foreman { init(string[] arg) { Lift[] who = findLift(); sleep(1000.0); } }
+"""
+CAPABILITIES = """
+registry: 1
+attributes: {note: {type: text, live: true, max_age: 5.0}}
+providers:
+  Hoist:
+    nominal: {payload: 2.0}
+    live: {battery: fc.battery, north: "fc.position[0]", east: "fc.position[1]", note: fc.mode}
+    serves: {Lift: {}}
+agents: {three: {payload: 5.0}}
+"""
+BINDINGS = "agents: {two: {attributes: {payload: 3 kg, tools: [sling]}}}"
+TEAM = "//Hoist:one@a\n//Hoist:two@b\n//Hoist:three@b\n//Winch:drum@c\n//Foreman:foreman@a\n"
+CONDITIONS = [
+    None,
+    "payload >= 2.5",
+    "battery > 0.5 && tools == sling",
+    "battery >= 0.0 order by battery desc",
+    "north > 0 || payload > 4",
+]
+
+
+class Telemetry:
+    """What the devices of a host have said, at odd moments."""
+
+    def __init__(self, running, number):
+        self.clock, self.number, self.values = running.host.clock, number, {}
+        guards = running.host.guards
+        guards.open, guards.last, guards.trouble = self.open, self.last, {}.get
+
+    async def open(self, devices):
+        pass
+
+    def last(self, device, quantity):
+        value = self.values.get(quantity)
+        age = (self.number + len(device) + len(quantity)) / 7.0
+        return None if value is None else Observation(value, self.clock.monotonic() - age)
+
+
+@pytest.mark.parametrize("condition", CONDITIONS)
+def test_from_outside_it_is_what_the_program_hears(fleet, condition):
+    async def story(team):
+        mission = team.mission(PROGRAM, TEAM, BINDINGS, capabilities=CAPABILITIES, simulate=True)
+        hosts = {name: team.make(mission, name) for name in "abc"}
+        devices = [Telemetry(running, number) for number, running in enumerate(hosts.values())]
+        await asyncio.gather(*(running.host.start() for running in hosts.values()))
+        await asyncio.sleep(3.3)
+        devices[0].values = {"battery": 1 / 3, "position": [1.0, 2.0, 3.0], "mode": "x" * 1000}
+        devices[1].values = {"battery": 2 / 3, "position": [5.0, -2.0, 0.0]}
+        await asyncio.sleep(3.1)
+        devices[1].values["battery"] = 0.9
+        await asyncio.sleep(1.7)
+        files = read_asked(team.folder / "mission.dL", mission.team)
+        registry, ways = files.registry, files.ways
+        numbers = {member.id: member.number for member in mission.team.members}
+        for name, running in hosts.items():
+            status = msgpack.decode(msgpack.encode(running.host.status()), type=Status)
+            told = {name: {one.agent: one for one in status.directory}}
+            asked = Matcher(registry, from_hosts(registry, mission.team.deployed, told, (), name), ways)
+            wish = compile_wish(condition or "true", registry.attributes)
+            outside = asked.find("Lift", wish)
+            inside = running.host.core.world.offers(None, "Lift", condition or "true")
+            heard = [found(offer, numbers, outside.count) for offer in outside.offers]
+            assert [facts_of(offer) for offer in heard] == [facts_of(offer) for offer in inside]
+            assert [offer.score for offer in heard] == [offer.score for offer in inside]
+            why = render(asked.explain("Lift", wish.condition))
+            assert why in running.host.core.world.explain(None, "Lift", condition or "true")
+        assert inside or condition == "battery > 0.5 && tools == sling"
+
+    fleet(story)
+
+
+def facts_of(offer):
+    numbers, ages = map(str, offer.numbers), map(str, offer.ages)
+    values = zip(offer.names, map(str, offer.texts), numbers, ages, offer.sources, strict=True)
+    return offer.agent, offer.host, offer.kind, sorted(values)

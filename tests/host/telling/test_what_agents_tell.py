@@ -1,0 +1,244 @@
+"""What an offer says of an agent, and where it is from: its type, its binding, its devices, its portals."""
+
+from __future__ import annotations
+
+import asyncio
+import re
+
+import pytest
+
+from lfield.errors import BindingError, ProgramError
+from lfield.manifest import Observation
+
+HOISTS = """
+resource Hoist {
+    Mavlink fc;
+    real raised;
+    boolean broken;
+    int asked;
+    init(string[] arg) { raised = 1500.0; }
+    portal lift(real height) emit real {
+        raised = raised + 1000.0 * height;
+        broken = height > 8.0;
+        return height;
+    }
+    portal lower(real height) emit real { raised = raised - 1000.0 * height; return height; }
+    portal level() emit real {
+        if (broken) throw new DeviceException("the rope is torn");
+        return raised;
+    }
+    portal place() emit real[] { real[] at = {1.0, 2.0, -3.0}; return at; }
+    portal count() emit int { asked = asked + 1; return asked; }
+    portal slow() emit real { sleep(1000.0); return 1.0; }
+}
+"""
+CAPABILITIES = """
+registry: 1
+attributes:
+  level: {type: real, unit: m, live: true, max_age: 6.0}
+  slowness: {type: real, live: true, max_age: 6.0}
+providers:
+  Hoist:
+    nominal: {payload: 2.0, speed: 0.5, mass: 9.0}
+    attributes: {chassis: fixed, tools: [hook]}
+    live:
+      battery: fc.battery
+      speed: fc.groundSpeed
+      level: {from: level(), unit: mm, every: 2.0}
+      east: "place()[1]"
+      slowness: slow()
+    serves: {Lift: {nominal: {reach: 0.5}}}
+agents: {far: {mass: 3.0}}
+"""
+BINDINGS = (
+    "agents: {near: {attributes: {payload: 1200 g, tools: [winch, sling]}}, far: {attributes: {mass: 8}}}"
+)
+TEAM = "//Hoist:near@alpha\n//Foreman:foreman@bravo\n//Hoist:far@bravo\n"
+IDLE = "coordinator Foreman { init(string[] arg) { Lift[] who = findLift(); sleep(1000.0); } }"
+
+
+class Telemetry:
+    """What the devices of a host have said, by hand."""
+
+    def __init__(self, running):
+        self.values = {}
+        self.clock = running.host.clock
+        guards = running.host.guards
+        guards.open, guards.last, guards.trouble = self.open, self.last, {}.get
+
+    async def open(self, devices):
+        pass
+
+    def last(self, device, quantity):
+        value = self.values.get((device, quantity))
+        return None if value is None else Observation(value, self.clock.monotonic() - 0.25)
+
+
+async def hoists(team, program=IDLE, capabilities=CAPABILITIES):
+    """alpha and bravo, linked, and what the devices of alpha say."""
+    mission = team.mission(HOISTS + program, TEAM, BINDINGS, capabilities=capabilities, simulate=True)
+    alpha, bravo = (team.make(mission, name) for name in ("alpha", "bravo"))
+    said, _ = Telemetry(alpha), Telemetry(bravo)
+    await asyncio.gather(alpha.host.start(), bravo.host.start())
+    await team.until(lambda: alpha.host.peers.incarnations and bravo.host.peers.incarnations)
+    await asyncio.sleep(4.0)
+    return alpha, bravo, said
+
+
+def facts_of(running, agent, condition=None):
+    """What the offer of an agent says, as the coordinator sees it: texts or numbers, and sources."""
+    found = running.host.core.world.offers(None, "Lift", condition)
+    offer = next(offer for offer in found if offer.agent == agent)
+    values = zip(offer.names, offer.texts, offer.numbers, offer.sources, strict=True)
+    return {name: (number if text is None else text, source) for name, text, number, source in values}
+
+
+def test_every_value_of_an_offer_says_where_it_is_from(fleet):
+    async def story(team):
+        alpha, bravo, said = await hoists(team)
+        said.values["near.fc", "battery"], said.values["near.fc", "groundSpeed"] = 0.75, 4.0
+        await asyncio.sleep(2.0)
+        for asked in (alpha, bravo):
+            near, far = facts_of(asked, "near"), facts_of(asked, "far")
+            assert near["payload"] == (1.2, "stated")
+            assert near["tools"] == ("sling, winch", "stated")
+            assert near["chassis"] == ("fixed", "stated")
+            assert near["reach"] == (0.5, "nominal")
+            assert near["mass"] == (9.0, "nominal")
+            assert near["speed"] == (4.0, "told by the device")
+            assert near["battery"] == (0.75, "measured")
+            # What its device has not told is what is usual; the mission's word counts before the binding's.
+            assert far["speed"] == (0.5, "nominal")
+            assert far["mass"] == (3.0, "stated")
+
+    fleet(story)
+
+
+def test_a_portal_that_only_queries_feeds_an_attribute(fleet):
+    async def story(team):
+        alpha, bravo, _ = await hoists(team)
+        for asked in (alpha, bravo):
+            near = facts_of(asked, "near", "level > 1.4")
+            assert near["level"] == (1.5, "measured")
+            assert near["east"] == (2.0, "measured")
+            assert "slowness" not in near
+            why = asked.host.core.world.explain(None, "Lift", "slowness > 0.0")
+            assert "near: near has not reported slow()" in why
+
+    fleet(story)
+
+
+def test_one_that_fails_makes_it_unknown_until_it_answers_again(fleet):
+    program = """
+coordinator Foreman {
+    init(string[] arg) {
+        Lift near = findLift("agent == \\"near\\"")[0];
+        sleep(5.0);
+        near.lift(9.0);
+        sleep(10.0);
+        near.lift(0.5);
+        sleep(1000.0);
+    }
+}
+"""
+
+    async def story(team):
+        alpha, _, _ = await hoists(team, program)
+        await team.until(lambda: "rope" in alpha.host.core.world.explain(None, "Lift", "level > 0.0"))
+        why = alpha.host.core.world.explain(None, "Lift", "level > 0.0")
+        assert "near: level() throws DeviceException: the rope is torn" in why
+        await team.until(lambda: facts_of(alpha, "near").get("level") == (11.0, "measured"))
+
+    fleet(story)
+
+
+def test_a_question_is_no_call_of_somebody(fleet):
+    async def story(team):
+        alpha, _, _ = await hoists(team)
+        await asyncio.sleep(20.0)
+        near = alpha.host.machine.agents["near"]
+        assert near.served == 0
+        # One that never answers is asked once.
+        assert len(alpha.host.machine._scheduler.questions) == 1
+
+    fleet(story)
+
+
+def test_the_age_of_a_value_goes_on_after_the_find(fleet):
+    program = """
+coordinator Foreman {
+    init(string[] arg) {
+        sleep(10.0);
+        Lift near = findLift("agent == \\"near\\"")[0];
+        real first = near.age("level");
+        sleep(7.0);
+        print("older by " + f2s(near.age("level") - first, 1) + " and " + f2s(near.age("payload"), 1));
+        print("it was " + near.source("level") + ", " + near.source("mass"));
+        near.lift(1.0);
+        print("no younger: " + b2s(near.age("level") >= 7.0));
+        sleep(1000.0);
+    }
+}
+"""
+
+    async def story(team):
+        alpha, bravo, _ = await hoists(team, program)
+        await team.until(lambda: "no younger" in alpha.log)
+        assert "older by 7.0 and 0.0" in bravo.log
+        assert re.search(r"it was measured \d\.\d s ago, nominal", bravo.log)
+        assert "no younger: true" in alpha.log
+
+    fleet(story)
+
+
+@pytest.mark.parametrize(
+    ("source", "code", "told"),
+    [
+        ("lift()", "C178", "resource Hoist has no portal lift() that takes nothing"),
+        ("heigth()", "C178", "resource Hoist has no portal heigth() that takes nothing"),
+        ("count()", "C179", "Hoist.count() may do more than query"),
+        ("place()", "C174", "'level' is real, and place() is real[]"),
+        ("{from: level(), every: 9}", "C107", "'level' is asked every 9 s and counts for 6 s"),
+        ("{from: level(), every: 0.1}", "Y113", "'every' must be from 1 to 3600, not 0.1"),
+    ],
+)
+def test_a_portal_that_cannot_feed_an_attribute_is_refused(fleet, source, code, told):
+    async def story(team):
+        capabilities = CAPABILITIES.replace("{from: level(), unit: mm, every: 2.0}", source)
+        with pytest.raises(ProgramError) as error:
+            team.mission(HOISTS + IDLE, TEAM, capabilities=capabilities, simulate=True)
+        said = "\n".join(d.render() for d in error.value.diagnostics)
+        assert code in said, said
+        assert told in said, said
+
+    fleet(story)
+
+
+@pytest.mark.parametrize(
+    ("stated", "told"),
+    [
+        ("payloda: 1.0", "there is no attribute 'payloda'"),
+        ("payload: heavy", "'payload' is a number in kg, not the text 'heavy'"),
+        ("payload: 3 m", "'m' cannot be turned into 'kg'"),
+        ("tools: [spoon]", "'spoon' is no value of 'tools'"),
+    ],
+)
+def test_what_a_binding_states_wrongly_is_told_at_its_place(fleet, stated, told):
+    async def story(team):
+        bindings = f"agents: {{near: {{attributes: {{{stated}}}}}}}"
+        with pytest.raises(BindingError) as error:
+            team.mission(HOISTS + IDLE, TEAM, bindings, capabilities=CAPABILITIES, simulate=True)
+        assert told in str(error.value), str(error.value)
+        assert "mission.devices.yaml:1:" in str(error.value)
+
+    fleet(story)
+
+
+def test_what_two_files_state_is_said(fleet):
+    async def story(team):
+        mission = team.mission(HOISTS + IDLE, TEAM, BINDINGS, capabilities=CAPABILITIES, simulate=True)
+        assert [w for w in mission.warnings if "stated" in w] == [
+            "mass of far is stated in the devices file and in the mission's registry, which counts"
+        ]
+
+    fleet(story)
