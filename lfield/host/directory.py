@@ -66,7 +66,7 @@ class TeamDirectory:
         nearby: Neighbours,
         clock: Clock,
     ) -> None:
-        self.registry = registry = mission.registry or NO_REGISTRY
+        self.registry = registry = mission.stated or NO_REGISTRY
         agents = mission.team.deployed
         self._clock = clock
         self.directory = Directory(registry, agents, name, nearby, clock, life)

@@ -65,6 +65,7 @@ def load_mission(
         simulate=simulate,
         resources=team.types,
         hosts=team.hosts,
+        homes=team.homes,
     )
     drivers = makers_of(plugins, {device.type for device in bindings.all})
     registry = _settled(types.registry, loaded, plugins) if ways(loaded) else None
@@ -125,6 +126,7 @@ def rebound(mission: Mission, devices: Path, *, simulate: bool = False) -> Missi
         simulate=simulate,
         resources=mission.team.types,
         hosts=mission.team.hosts,
+        homes=mission.team.homes,
     )
     return _decided(mission.with_bindings(bindings))
 

@@ -12,7 +12,9 @@ from lfield.capability.reading.reader import read_registry
 from lfield.driver.plugins import discover
 from lfield.errors import LfieldError, UsageError
 from lfield.mission import bundle
-from lfield.mission.load import CAPABILITIES, beside
+from lfield.mission.bindings_file import read_frames
+from lfield.mission.load import CAPABILITIES, DEVICES, beside
+from lfield.mission.mission import placed
 from lfield.mission.team import Team
 from lfield.operator.ask import Answers
 from lfield.wire.observing import Status, Told
@@ -37,21 +39,23 @@ class Roster:
 def mission_registry(mission: Path, team: Team, capabilities: Path | None = None) -> Registry:
     """The registry of a mission: that of its bundle, or ours with `capabilities`, else the file beside it.
 
-    Raises ProgramError, InputFileError and BundleError, and UsageError for a bundle that has none.
+    With where agents are by its bindings. Raises ProgramError, InputFileError, BindingError and
+    BundleError, and UsageError for a bundle that has none.
     """
     if mission.suffix == bundle.SUFFIX and capabilities is None:
-        registry = bundle.read(mission).registry
+        registry = bundle.read(mission).stated
         if registry is None:
             raise UsageError(
                 f"the program of {mission} names no capability: ask its deployment (.dL) instead"
             )
         return registry
     added = capabilities or beside(mission, CAPABILITIES)
-    return read_registry(
+    registry = read_registry(
         mission=added,
         agents=[agent.id for agent in team.deployed],
         libraries=discover().capabilities,
     )
+    return placed(registry, team.types, read_frames(beside(mission, DEVICES), team.homes))
 
 
 def from_files(registry: Registry, agents: Sequence[Deployed], at: str = "") -> Roster:
