@@ -8,7 +8,7 @@ import demo
 import pytest
 
 #: Each run has failures of those before.
-FAILURES = [(device, fault) for device, fault, _ in demo.FAILURES[1:]]
+FAILURES = [(each.device, each.fault) for each in demo.FAILURES[1:]]
 
 
 def run(lfield_mission, failures):
