@@ -109,3 +109,41 @@ def test_who_is_sent_to_anothers_place_comes_there(team, devices):
     climbed = told(team, "climbed")[1]
     assert climbed[2] == pytest.approx(then[2] - 2.0, abs=0.6)
     assert math.dist(climbed[:2], then[:2]) < 1.0
+
+
+CLIMB = """
+include <mavlink/copter.L>;
+coordinator Boss {
+    init(string[] arg) {
+        Copter low = findCopter("low");
+        low.flyTo(TO);
+        low.land();
+        print("climbs");
+        low.climb(3.0);
+        print("there");
+    }
+}
+"""
+
+
+@pytest.mark.parametrize(
+    ("frame", "to"),
+    [
+        ("", "12.0, 0.0, -4.0"),
+        ("frame: {north: 50, east: 20, down: -7, heading: 1.0}, ", "56.0, 31.0, -11.0"),
+    ],
+    ids=["home", "frame"],
+)
+def test_a_climb_from_where_it_has_landed_goes_up_there(tmp_path, lfield_mission, frame, to):
+    """Home moves to where it is armed: the place from before is another one about that."""
+    (tmp_path / "m.L").write_text(CLIMB.replace("TO", to))
+    (tmp_path / "m.dL").write_text("//Copter:low@alpha\n//Boss:boss@alpha\n")
+    bound = f"low: {{{frame}devices: {{fc: {{{DRIVER}, endpoint: 'udp:h:1'}}}}}}"
+    (tmp_path / "m.devices.yaml").write_text(f"agents:\n  {bound}\n")
+    team = lfield_mission(tmp_path / "m.dL")
+    team.run(until="climbs")
+    landed = truth(team, "low", team.now)
+    team.run(until="there")
+    climbed = truth(team, "low", team.now)
+    assert math.dist(landed[:2], climbed[:2]) < 1.0
+    assert climbed[2] - landed[2] == pytest.approx(-3.0, abs=0.5)
