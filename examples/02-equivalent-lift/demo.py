@@ -2,13 +2,10 @@
 
     python examples/02-equivalent-lift/demo.py
 
-Each run is `lfield up --all --sim --until-done`; once the hook is down, the faults of the run are set with
-`lfield sim fault`, as one could by hand from another terminal. A team that has not noticed them when the
-parcel is there chooses a robot that cannot lift it any more: on a busy computer that takes a while. So the
-demo asks the team (`lfield query`) until it has noticed, and where the parcel was there before it runs again
-with a later one.
-
-Ends with 0 when the right robot came each time.
+Every host is a process of its own. Once the hook is down, the faults of the run are set with `lfield sim
+fault`, as one could by hand; when `lfield query` says that the crane's host has noticed all of them, the
+cart's computer is started, and so the parcel comes. Nothing is left to a fixed time. 0 means that in every
+run whoever should lift the parcel did.
 """
 
 from __future__ import annotations
@@ -16,175 +13,209 @@ from __future__ import annotations
 import contextlib
 import io
 import json
+import os
+import random
 import re
-import shutil
+import socket
 import subprocess
 import sys
 import tempfile
 import threading
 import time
-from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TextIO
 
 from lfield import exits
 from lfield.cli.main import main as lfield
 
-HERE = Path(__file__).parent
+MISSION = Path(__file__).with_name("mission.dL")
+HOSTS = ("yard", "air", "bench", "tool")
+#: Its computer comes with the parcel.
+CART = "cart"
+#: Seconds for one step of the mission on a computer that has a lot else to do.
+PATIENCE = 180.0
 
 #: What hosts and devices say of themselves; the rest is the foreman's.
-OTHERS = re.compile(r"\| (\w+\.\w+: |\w+ is up|linked with|lost the link|waiting for the devices)")
-#: What the foreman asks for, and what it says when it has an answer, and when it has done it.
-QUESTION = "Lift where payload >= 0.2"
-CHOSEN, LIFTED = (
-    re.compile(r"foreman: (\S+) shall lift|nobody can lift the parcel"),
-    "foreman: the parcel went up by",
-)
-#: The seconds that the parcel takes to come, in the deployment's words, and the longest that is tried.
-COMES, LATEST = "foreman@yard?crane&8.0", 128.0
-#: Seconds between two questions to the team.
-AGAIN = 0.5
+OTHERS = re.compile(r"(\w+\.\w+: |\w+ is up|linked with|lost the link|waiting for |closed a link)")
 
-
-@dataclass(frozen=True)
-class Failure:
-    """What fails beside what has failed in the runs before, and who lifts the parcel then ('' for nobody)."""
-
-    device: str
-    fault: str
-    words: str
-    lifts: str
-
-
+#: What fails in each run besides what has failed before: the device, its fault, and how people would say it.
 FAILURES = (
-    Failure("", "", "everything works", "crane"),
-    Failure("crane.axis", "silence=true", "the crane's drive has lost its power", "sky"),
-    Failure("sky.fc", "battery=0.15", "the copter's battery is low as well", "hand+arm"),
-    Failure("hand.motor", "dead=true", "and the hand's servo is dead", ""),
+    ("", "", "everything works"),
+    ("crane.axis", "silence=true", "the crane's drive has lost its power"),
+    ("sky.fc", "battery=0.15", "the copter's battery is low as well"),
+    ("hand.motor", "dead=true", "and the hand's servo is dead"),
 )
+#: Who shall lift in each run, '' for nobody.
+LIFTS = ("crane", "sky", "hand+arm", "")
+
+
+class Failed(Exception):
+    """The run did not go as it should: one sentence."""
 
 
 @dataclass
-class Run:
-    """A run of the mission with the last of some failures, the parcel coming after `seconds`."""
+class Host:
+    """The process of one host, and who reads what it says."""
 
-    folder: Path
-    failures: tuple[Failure, ...]
-    seconds: float
-    #: When the foreman has chosen somebody, and who has lifted the parcel in the end; None for nobody yet.
-    chosen_at: float | None = None
-    lifted: str = ""
-    _candidate: str = ""
-    #: Where the foreman's words go, also while a command is asked for its own.
-    out: TextIO = field(default_factory=lambda: sys.stdout)
-    hook_is_down: threading.Event = field(default_factory=threading.Event)
+    process: subprocess.Popen[str]
+    reader: threading.Thread
 
-    @property
-    def mission(self) -> Path:
-        """The deployment, beside copies of the mission's other files."""
-        return self.folder / "mission.dL"
 
-    def start(self) -> subprocess.Popen[str]:
-        """All hosts, as one would start them."""
-        for file in HERE.glob("mission.*"):
-            shutil.copy(file, self.folder)
-        deployment = self.mission.read_text(encoding="utf-8")
-        self.mission.write_text(
-            deployment.replace(COMES, f"foreman@yard?crane&{self.seconds}"), encoding="utf-8"
-        )
-        options = ("--deploy", str(self.mission), "--all", "--sim", "--until-done")
-        command = [sys.executable, "-m", "lfield", "up", *options]
-        return subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
+class Team:
+    """The hosts of one run; all have ended when it is left."""
 
-    def listen(self, lines: Iterator[str]) -> None:
-        """Show what the foreman says, and note what it has chosen."""
-        for line in lines:
-            if not OTHERS.search(line):
-                print(line, end="", file=self.out, flush=True)
-            if "the parcel is coming" in line:
-                self.hook_is_down.set()
-            if (chosen := CHOSEN.search(line)) is not None:
-                self.chosen_at = self.chosen_at or time.monotonic()
-                self._candidate = chosen[1] or ""
-            if LIFTED in line:
-                self.lifted = self._candidate
-        self.hook_is_down.set()
+    def __init__(self, mission: Path) -> None:
+        self._mission = mission
+        self._maps = [f"--map={host}=127.0.0.1:{free_port()}" for host in (*HOSTS, CART)]
+        self._hosts: dict[str, Host] = {}
+        self._said, self._shown = threading.Condition(), sys.stdout
+        #: What the foreman has said.
+        self.lines: list[str] = []
 
-    def fail(self) -> None:
-        """Set the faults of the fakes."""
-        for each in self.failures:
-            if each.device:
-                asked(["sim", "fault", each.device, each.fault])
-                print(f"      | ({each.words})", file=self.out, flush=True)
+    def __enter__(self) -> Team:
+        for host in HOSTS:
+            self.start(host)
+        return self
 
-    def is_noticed(self) -> bool:
-        """Whether the team would choose the right one now, as the foreman's host knows it."""
-        said = asked(["query", QUESTION, "--deploy", str(self.mission), "--at", "yard", "--json"])
-        answer = json.loads(said) if said else {"answered": []}
+    def __exit__(self, *_: object) -> None:
+        for host in self._hosts.values():
+            host.process.terminate()
+        try:
+            self.ended()
+        except Failed:
+            for host in self._hosts.values():
+                host.process.kill()
+
+    def start(self, host: str) -> None:
+        """Start a host, with the fakes of its devices."""
+        # Nobody waits for the cart's host, which is to come, and nothing is kept beyond the run.
+        options = ("--sim", "--volatile", "--first-start", "--until-done", "--lost-after", "900")
+        words = ("up", str(self._mission), "--host", host, *options, *self._maps)
+        command = [sys.executable, "-m", "lfield", *words]
+        process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+        reader = threading.Thread(target=self._read, args=(host, process), daemon=True)
+        self._hosts[host] = Host(process, reader)
+        reader.start()
+
+    def ended(self) -> int:
+        """Wait until all hosts have ended; returns the worst of their statuses. Raises Failed."""
+        end = time.monotonic() + PATIENCE
+        for name, host in self._hosts.items():
+            try:
+                host.process.wait(max(0.0, end - time.monotonic()))
+            except subprocess.TimeoutExpired:
+                raise Failed(f"the host {name} has not ended")
+            host.reader.join()
+        return exits.worst(host.process.returncode for host in self._hosts.values())
+
+    def wait_for(self, words: str) -> None:
+        """Until the foreman has said this. Raises Failed."""
+        end = time.monotonic() + PATIENCE
+        with self._said:
+            while not any(words in line for line in self.lines):
+                if time.monotonic() > end or any(h.process.poll() is not None for h in self._hosts.values()):
+                    raise Failed(f"the foreman has not said that {words}")
+                self._said.wait(0.2)
+
+    def best(self) -> str | None:
+        """Who would lift, as the host of the crane sees it now: '' nobody, None while that is not known."""
+        question = ("query", "Lift where payload >= 0.2", "--deploy", str(self._mission), "--at", "yard")
+        said = io.StringIO()
+        with contextlib.redirect_stdout(said), contextlib.redirect_stderr(io.StringIO()):
+            status = lfield([*question, "--json", *self._maps])
+        if status not in (exits.DONE, exits.FAILED):
+            return None
+        answer = json.loads(said.getvalue())
         if "yard" not in answer["answered"]:
-            return False
-        (lift,) = answer["capabilities"]
-        return next((offer["agent"] for offer in lift["offers"]), "") == self.failures[-1].lifts
+            return None
+        offers = answer["capabilities"][0]["offers"]
+        return str(offers[0]["agent"]) if offers else ""
+
+    def _read(self, host: str, process: subprocess.Popen[str]) -> None:
+        assert process.stdout
+        for line in process.stdout:
+            if OTHERS.match(line):
+                continue
+            # Not to wherever a question's answer goes just then.
+            print(f"{host:5} | {line}", end="", file=self._shown, flush=True)
+            with self._said:
+                self.lines.append(line)
+                self._said.notify_all()
 
 
-def asked(words: list[str]) -> str:
-    """What a command of lfield prints, run in this process; '' when it has not worked."""
-    with io.StringIO() as said, contextlib.redirect_stdout(said), contextlib.redirect_stderr(io.StringIO()):
-        status = lfield(words)
-        return said.getvalue() if status in (exits.DONE, exits.FAILED) else ""
+def free_port() -> int:
+    """A port of loopback that nobody has, and that the kernel gives to no connection's near end."""
+    for port in random.SystemRandom().sample(range(20_000, 32_000), 100):
+        with socket.socket() as probe:
+            if probe.connect_ex(("127.0.0.1", port)) != 0:
+                return port
+    raise Failed("a hundred ports between 20000 and 32000 are all taken")
 
 
-def once(failures: tuple[Failure, ...], seconds: float) -> tuple[bool, Run, int]:
-    """One run: whether the failures were noticed before the parcel was there, what came, and how it ended."""
-    with tempfile.TemporaryDirectory() as folder:
-        run = Run(Path(folder), failures, seconds)
-        with run.start() as mission:
-            assert mission.stderr is not None
-            listener = threading.Thread(target=run.listen, args=[mission.stderr])
-            listener.start()
-            run.hook_is_down.wait()
-            run.fail()
-            noticed = False
-            while run.chosen_at is None and mission.poll() is None and not noticed:
-                noticed = run.is_noticed() and run.chosen_at is None
-                time.sleep(AGAIN)
-            listener.join()
-            return noticed, run, mission.wait()
+def run(mission: Path, number: int) -> None:
+    """One run. Raises Failed unless who should lift the parcel did."""
+    wanted = LIFTS[number]
+    with Team(mission) as team:
+        team.wait_for("the parcel is coming")
+        fail(FAILURES[1 : number + 1])
+        end = time.monotonic() + PATIENCE
+        while (best := team.best()) != wanted:
+            if time.monotonic() > end:
+                raise Failed(f"the hosts have not noticed what failed: {best or 'nobody'} would lift")
+            time.sleep(0.2)
+        team.start(CART)
+        status = team.ended()
+    # A device that has failed cannot be seen in its safe state, however well the mission went.
+    if status != (exits.UNSAFE if number else exits.DONE):
+        raise Failed(f"the mission ended with {status}")
+    if complaint := wrong(team.lines, wanted):
+        raise Failed(complaint)
 
 
-def right(failures: tuple[Failure, ...]) -> bool:
-    """Runs until the team has noticed all failures in time; whether the right robot came then.
+def wrong(said: list[str], wanted: str) -> str:
+    """What is wrong with who has lifted by what the foreman said, '' when nothing is."""
+    tried, lifted = "", []
+    for line in said:
+        if found := re.match(r"foreman: (\S+) shall lift", line):
+            tried = found[1]
+        elif line.startswith("foreman: the parcel went up"):
+            lifted.append(tried)
+    if lifted == ([wanted] if wanted else []):
+        return ""
+    return f"{' and '.join(lifted) or 'nobody'} has lifted the parcel, not {wanted or 'nobody'}"
 
-    A device that has failed cannot be seen in its safe state: such a run ends with 3, however well the
-    mission went.
-    """
-    seconds = float(COMES.rpartition("&")[2])
-    while True:
-        noticed, run, status = once(failures, seconds)
-        if noticed or seconds >= LATEST:
-            break
-        seconds *= 2.0
-        print(f"      | (too soon for this computer: again, with a parcel after {seconds:g} s)", flush=True)
-    came = run.lifted == failures[-1].lifts
-    if not came:
-        print(
-            f"{run.lifted or 'nobody'} has lifted it, not {failures[-1].lifts or 'nobody'}", file=sys.stderr
-        )
-    ended = status == (exits.DONE if len(failures) == 1 else exits.UNSAFE)
-    if not ended:
-        print(f"the mission ended with {status}", file=sys.stderr)
-    return came and ended
+
+def fail(failures: tuple[tuple[str, str, str], ...]) -> None:
+    """Set the faults of the fakes."""
+    for device, fault, words in failures:
+        with open(os.devnull, "w") as nowhere, contextlib.redirect_stdout(nowhere):
+            status = lfield(["sim", "fault", device, fault])
+        if status:
+            raise Failed(f"{device} has not taken {fault}")
+        print(f"      | ({words})", flush=True)
 
 
 def main() -> int:
-    """All four runs, until one does not go as it should."""
-    for count, failure in enumerate(FAILURES, 1):
-        print(f"\nRun {count}: {failure.words}", flush=True)
-        if not right(FAILURES[:count]):
-            return exits.FAILED
+    """All four runs, until one does not end as it should."""
+    with tempfile.TemporaryDirectory() as folder:
+        mission = Path(folder) / "mission.lfm"
+        subprocess.run(
+            [sys.executable, "-m", "lfield", "build", str(MISSION), "--output", str(mission)],
+            check=True,
+            capture_output=True,
+        )
+        for number, (_, _, words) in enumerate(FAILURES):
+            print(f"\nRun {number + 1}: {words}", flush=True)
+            try:
+                run(mission, number)
+            except Failed as failed:
+                print(f"run {number + 1}: {failed}", file=sys.stderr)
+                return exits.FAILED
     return exits.DONE
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    try:
+        sys.exit(main())
+    except KeyboardInterrupt:
+        sys.exit(exits.INTERRUPTED)

@@ -7,16 +7,21 @@ import re
 import demo
 import pytest
 
+#: Seconds after which every host knows of a fault.
+NOTICED = 8.0
 #: Each run has failures of those before.
-FAILURES = [(each.device, each.fault) for each in demo.FAILURES[1:]]
+FAILURES = [(device, fault) for device, fault, _ in demo.FAILURES[1:]]
 
 
 def run(lfield_mission, failures):
     """The mission with these robots failing once the hook is down; the team when it has ended."""
     team = lfield_mission("mission.dL")
+    team.crash(demo.CART)
     team.run(until="the parcel is coming")
     for device, fault in failures:
         team.fake(device).set(fault)
+    team.run(NOTICED)
+    team.boot(demo.CART)
     team.run(until_done=True)
     assert team.ended == {"foreman": "done"}
     return team
@@ -50,6 +55,17 @@ def test_the_best_then_the_equivalent_then_the_composed_then_nobody(lfield_missi
     assert host == lift[0]
     # The crane and the arm are exact, a copter is not.
     assert height == lift[1] or (lift[1] is None and abs(float(height) - 0.8) < 0.3)
+
+
+def test_the_demonstration_knows_whether_the_right_robot_came():
+    up, stale = "foreman: the parcel went up by 0.8 m\n", "foreman: crane could not: it is lost\n"
+    crane, sky = "foreman: crane shall lift (direct)\n", "foreman: sky shall lift (equivalent)\n"
+    assert demo.wrong([crane, up], "crane") == ""
+    assert demo.wrong([crane, stale, sky, up], "sky") == ""
+    assert demo.wrong(["foreman: nobody can lift the parcel\n"], "") == ""
+    assert demo.wrong([crane, up], "sky") == "crane has lifted the parcel, not sky"
+    assert demo.wrong([sky], "sky") == "nobody has lifted the parcel, not sky"
+    assert demo.wrong([sky, up], "") == "sky has lifted the parcel, not nobody"
 
 
 def test_the_copter_that_stands_in_has_lifted_in_truth(lfield_mission):

@@ -44,6 +44,8 @@ BUILTIN_CLASSES = (
     "MissingReturnException",
     "CancelledException",
     "TimeLimitException",
+    "ReservedException",
+    "ReservationLostException",
 )
 #: What a built-in class is a kind of, where that is not just `Exception`: who catches that takes both.
 BUILTIN_PARENTS = {"DeviceTimeoutException": "DeviceException"}
@@ -110,9 +112,10 @@ class ClassRecord(msgspec.Struct, frozen=True, array_like=True):
 
 
 #: Kinds of handlers. CATCH takes what is of its class, FINALLY anything; it throws that again at its end.
-#: The other two take nothing. LIMIT: `slot` has the end of a `within` in ns on the agent's clock, NO_LIMIT or
-#: OVER. LANDING: the code of a `finally`, where no catch is skipped for a limit around it.
-CATCH, FINALLY, LIMIT, LANDING = range(4)
+#: The others take nothing. LIMIT: `slot` has the end of a `within` in ns on the agent's clock, NO_LIMIT or
+#: OVER. LANDING: the code of a `finally`, where no catch is skipped for a limit around it. RESERVED: `slot`
+#: has what a `reserve` keeps, an array of members of the team and numbers in turn.
+CATCH, FINALLY, LIMIT, LANDING, RESERVED = range(5)
 #: What the slot of a LIMIT holds before it is set, and once it has fired.
 NO_LIMIT, OVER = 0, -1
 
@@ -120,7 +123,7 @@ NO_LIMIT, OVER = 0, -1
 class Handler(msgspec.Struct, frozen=True, array_like=True):
     """Instructions start..end-1 are protected; `catches` is a class index (0, Exception, takes any).
 
-    `target` and `catches` of a LIMIT or LANDING are 0, and so is the slot of a LANDING.
+    `target` and `catches` of those that take nothing are 0, and so is the slot of a LANDING.
     """
 
     start: int
@@ -250,6 +253,11 @@ class Program:
     def has_limits(self) -> bool:
         """Whether any `within` is in it: then a catch may be one that is given up."""
         return any(h.kind == LIMIT for method in self.core.methods for h in method.handlers)
+
+    @cached_property
+    def has_reserves(self) -> bool:
+        """Whether any `reserve` is in it."""
+        return any(h.kind == RESERVED for method in self.core.methods for h in method.handlers)
 
     @cached_property
     def kinds(self) -> tuple[frozenset[int], ...]:

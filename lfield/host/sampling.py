@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from typing import Protocol
 
-from lfield.capability.directory.news import Condition, Sample, Scalar, Trouble
+from lfield.capability.directory.news import SILENCE, Condition, Sample, Scalar, Trouble
 from lfield.capability.model import Attribute, AttributeType, Live
 from lfield.clock import Clock
 from lfield.manifest import DeviceValue, Observation
@@ -41,10 +41,13 @@ class Sampler:
 
     def condition(self, agent: str, live: Mapping[str, Live]) -> Condition:
         """How an agent of this host is now; `live` are its live attributes."""
+        trouble = self._trouble(agent)
+        if not live and trouble is None:
+            return SILENCE
         found = {name: self._sample(agent, source) for name, source in live.items()}
         samples = {name: sample for name, sample in found.items() if isinstance(sample, Sample)}
         unknown = {name: why for name, why in found.items() if isinstance(why, str)}
-        return Condition(self._trouble(agent), samples, unknown)
+        return Condition(trouble, samples, unknown)
 
     def _trouble(self, agent: str) -> Trouble | None:
         running = self._agents.get(agent)

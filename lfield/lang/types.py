@@ -66,6 +66,8 @@ BUILTIN_EXCEPTIONS = {
     "MissingReturnException": "Exception",
     "CancelledException": "Exception",
     "TimeLimitException": "Exception",
+    "ReservedException": "Exception",
+    "ReservationLostException": "Exception",
 }
 
 

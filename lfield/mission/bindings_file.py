@@ -56,6 +56,7 @@ from lfield.mission.bindings import (
     maker_of,
     nowhere,
     on_fakes,
+    undoubled,
 )
 from lfield.mission.reading.devices import DevicesReader
 from lfield.mission.reading.frames import frames_of, read_hosts, read_origin, read_pose
@@ -78,22 +79,31 @@ def read_bindings(
     resources: dict[str, str] | None = None,
     hosts: Collection[str] | None = None,
     homes: Mapping[str, str] | None = None,
+    doubled: Collection[str] = (),
 ) -> Bindings:
     """The bindings in a file (None: there is no file), checked against what the mission needs.
 
     With `simulate`, needed devices that are not bound get what is usual for their agent's resource type (of
     `resources`), and every endpoint is SIMULATED. `hosts` are those of the team, None where it is not known,
-    `homes` those of its agents.
-    Raises BindingError with all problems, InputFileError when the file cannot be read.
+    `homes` those of its agents. Of `doubled` agents only the limits and the pose are read. Raises
+    BindingError with all problems, InputFileError when the file cannot be read.
     """
     found = Diagnostics()
     node = read(str(path), found) if path is not None else None
     bindings = Bindings()
     if path is not None and node is not None:
         reader = BindingsReader(
-            needed, drivers, found, path.parent, simulate=simulate, hosts=hosts, homes=homes
+            needed,
+            drivers,
+            found,
+            path.parent,
+            simulate=simulate,
+            hosts=hosts,
+            homes=homes,
+            doubled=doubled,
         )
         bindings = reader.bindings(node)
+    needed = undoubled(needed, doubled)
     problems = [diagnostic.render() for diagnostic in found.errors]
     problems += _without_driver(needed, drivers)
     # What is written wrong is not missing: the file's own errors are told first, and alone.
@@ -169,8 +179,9 @@ class BindingsReader:
         simulate: bool,
         hosts: Collection[str] | None = None,
         homes: Mapping[str, str] | None = None,
+        doubled: Collection[str] = (),
     ) -> None:
-        self._needed, self._found = needed, found
+        self._needed, self._found, self._doubled = needed, found, doubled
         self._hosts, self._homes = hosts, homes or {}
         self._devices = DevicesReader(drivers, folder, simulate=simulate)
 
@@ -195,7 +206,10 @@ class BindingsReader:
                 continue
             agents[entry.key] = self._limits(fields, defaults)
             agent, placement = entry.key, frames.of(entry.key)
-            devices[agent] = self._devices.devices(agent, fields, self._needed[agent], placement)
+            if agent in self._doubled:
+                fields.node("devices")
+            else:
+                devices[agent] = self._devices.devices(agent, fields, self._needed[agent], placement)
             fields.done()
         top.done()
         return Bindings(agents, devices, defaults, unreachable_after, silence, recovery, frames)

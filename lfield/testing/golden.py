@@ -30,7 +30,7 @@ from lfield.manifest import DeviceValue
 from lfield.testing.offers import still_answers
 from lfield.vm.agent import Agent, Member
 from lfield.vm.begun import Beginning, Begun
-from lfield.vm.contract import Limits, Reading
+from lfield.vm.contract import Limits, Reading, Trap
 from lfield.vm.machine import Machine
 from lfield.vm.offers import Found
 from lfield.vm.world import Pending
@@ -61,6 +61,8 @@ class Desk:
     departures: list[tuple[Agent, Member]] = field(default_factory=list)
     answers: Answers | None = None
     machine: Machine = field(init=False)
+    #: By resource: the number of its last reservation, and the coordinator that has it, '' for nobody.
+    reserved: dict[str, tuple[int, str]] = field(default_factory=dict)
 
     def write(self, agent: Agent, text: str) -> None:
         """Keep written text, line by line."""
@@ -76,6 +78,33 @@ class Desk:
 
     def may_begin(self, agent: Agent, acts: bool) -> bool:
         """There is no disk, and no team."""
+        return True
+
+    def take(self, agent: Agent, resource: Member, *, nested: bool) -> int:
+        """Whoever comes first has it; everybody else is refused at once."""
+        number, holder = self.reserved.get(resource.id, (0, ""))
+        if holder not in ("", agent.id):
+            raise Trap("ReservedException", f"{resource.id} is reserved by {holder}", resource.id)
+        if not holder:
+            number += 1
+        self.reserved[resource.id] = number, agent.id
+        self.machine.agents[resource.id].reserved = True
+        return number
+
+    def drop(self, agent: Agent, held: Sequence[tuple[Member, int]]) -> None:
+        """It is free again, if it was not lost before."""
+        for resource, number in held:
+            if self.reserved.get(resource.id) == (number, agent.id):
+                self.reserved[resource.id] = number, ""
+                self.machine.agents[resource.id].reserved = False
+
+    def serves(self, agent: Agent, resource: Member, number: int) -> bool:
+        """Whoever has it by its last number, and everybody while nobody has it."""
+        last, holder = self.reserved.get(resource.id, (0, ""))
+        if number and (number, agent.id) != (last, holder):
+            raise Trap("ReservationLostException", f"{resource.id} is not reserved any more", resource.id)
+        if not number and holder:
+            raise Trap("ReservedException", f"{resource.id} is reserved by {holder}", resource.id)
         return True
 
     def begins(self, agent: Agent, calls: Sequence[Beginning]) -> bool:

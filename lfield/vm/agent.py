@@ -36,7 +36,8 @@ class Agent:
     there. A `fenced` one begins no portal unless its host allows it.
     `callers` has, by the id of each coordinator that a resource has served, the newest copy of it: its
     generation and sequence. `cancels` are the threads of a resource whose calls are cancelled, each with the
-    reason that is still to be thrown in it, '' once it was.
+    reason that is still to be thrown in it, '' once it was. A resource is `reserved` while somebody has it:
+    its host sets that, and is asked (`World.serves`) before each of its portals begins.
 
     `offset` is what is added to the host's monotonic clock, in ns, for the clock of a coordinator, by which
     its time limits run. `alarm` is when they are looked at next, on the host's clock; `overdue` is true when
@@ -66,6 +67,7 @@ class Agent:
     fenced: bool = False
     callers: dict[str, tuple[int, int]] = field(default_factory=dict)
     cancels: dict[int, str] = field(default_factory=dict)
+    reserved: bool = False
     offset: int = 0
     alarm: float = math.inf
     overdue: bool = False

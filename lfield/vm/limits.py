@@ -22,15 +22,11 @@ from lfield.vm.memory.layout import (
     CALLING,
     COUNT_LIMIT,
     FRAME_SLOTS,
-    PARKED,
-    SLEEPING,
-    THREAD_FRAME,
     THREAD_ID,
-    THREAD_PC,
     THREAD_STATE,
 )
 from lfield.vm.memory.threads import serving
-from lfield.vm.reference.unwind import rows_around
+from lfield.vm.reference.unwind import rows_of
 from lfield.vm.scheduler import Scheduler
 
 TIME_LIMIT = "TimeLimitException"
@@ -133,12 +129,8 @@ class TimeLimits:
         if not self._scheduler.program.has_limits:
             return
         w = agent.block.w
-        thread = w[layout.W_THREADS]
-        frame, pc = w[thread + THREAD_FRAME], w[thread + THREAD_PC]
-        if w[thread + THREAD_STATE] in (SLEEPING, PARKED):
-            pc -= 1
         shielded = False
-        for within, row in rows_around(agent.block, self._scheduler.program, frame, pc):
+        for within, row in rows_of(agent.block, self._scheduler.program, w[layout.W_THREADS]):
             shielded = shielded or row.kind == LANDING
             word = within + FRAME_SLOTS + row.slot
             if row.kind == LIMIT and w[word] > 0:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import random
 import traceback as python_traceback
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Sequence
 
 from lfield.bytecode.program import Program
 from lfield.clock import Clock
@@ -16,7 +16,7 @@ from lfield.errors import DeviceError
 from lfield.manifest import DeviceValue
 from lfield.vm import portals
 from lfield.vm.agent import Agent, Member
-from lfield.vm.begun import Begun, Key
+from lfield.vm.begun import Begun
 from lfield.vm.cancelling import CANCELLED, Cancelling
 from lfield.vm.contract import Blocked, Done, Exit, Limits, NoRoom, Outside, Reading, Spent, Thrown, Trap
 from lfield.vm.limits import TimeLimits
@@ -29,6 +29,8 @@ from lfield.vm.memory.soundness import Soundness
 from lfield.vm.memory.threads import place_of
 from lfield.vm.memory.values import word_for
 from lfield.vm.outside import Outsiders
+from lfield.vm.reserve.heads import Reserving
+from lfield.vm.reserve.held import Held
 from lfield.vm.scheduler import Scheduler
 from lfield.vm.together.calls import BegunCalls
 from lfield.vm.together.heads import Together
@@ -69,18 +71,25 @@ class Machine:
         )
         #: The agents that are here, by id.
         self.agents = scheduler.agents
-        #: Who watches its portal calls, and what stands in for resources.
+        #: Who watches its portal calls and what it computes, and what stands in for resources.
         self.attached = scheduler.attached
         self.engine, self.layouts, self._turns = scheduler.engine, scheduler.layouts, scheduler.turns
         cancelling = self._cancelling = Cancelling(scheduler)
-        self._begun = BegunCalls(scheduler, cancelling)
-        self._visits = Visits(scheduler, team, here)
-        self._limits = TimeLimits(scheduler, cancelling, self._visits, self._begun.stop_waiting)
-        self._together = Together(scheduler, self._visits, cancelling, self._limits)
-        heads = self._together.heads()
-        self._outsiders = Outsiders(scheduler, team, here, dice, cancelling, self._limits, heads)
         self._liveness = Liveness(program, scheduler.layouts)
         self._soundness = Soundness(program, scheduler.layouts, [member.type for member in team])
+        begun = self._begun = BegunCalls(scheduler, cancelling, self._soundness)
+        #: The calls that were begun here, by what is told of them (see `BegunCalls`).
+        self.begun_calls, self.fetched, self.kept_result = begun.calls, begun.fetched, begun.kept
+        self.restore_begun, self.forget_begun = begun.restore, begun.forget
+        self.cancel_begun, self.end_begun = begun.cancel, begun.end
+        held = Held(program, team)
+        #: What a coordinator that is here has reserved: each resource with its number.
+        self.held = held.of
+        self._visits = Visits(scheduler, team, here, held)
+        self._limits = TimeLimits(scheduler, cancelling, self._visits, self._begun.stop_waiting)
+        self._together = Together(scheduler, self._visits, held, cancelling, self._limits)
+        heads = {**self._together.heads(), **Reserving(scheduler, held, here).heads()}
+        self._outsiders = Outsiders(scheduler, team, here, dice, cancelling, self._limits, held, heads)
 
     # --- agents come and go ---------------------------------------------------------------------------
 
@@ -159,7 +168,8 @@ class Machine:
     def calling(self, agent: Agent) -> tuple[Member, str] | None:
         """The resource and the portal that a frozen coordinator stands at; None when its proxy is null.
 
-        Of a `together` it is the first call that it wants to begin, or to fetch where it wants to be.
+        Of a `together` it is the first call that it wants to begin, or to fetch where it wants to be. The
+        portal is '' where it wants to reserve the resource.
         """
         return self._visits.calling(agent)
 
@@ -172,16 +182,17 @@ class Machine:
     ) -> None:
         """Let a frozen coordinator go on with an exception in the statement that called the portal.
 
-        In a `together` it is that of the calls which cannot begin or be fetched; a RestartException is the
-        coordinator's own and is thrown at once, unless it is leaving the block already. Who is `recovered`
-        may have done more, also after its time was over or after the block: it is told before anything else.
+        In a `together` it is that of the calls which cannot begin or be fetched, a ReservedException that of
+        the calls of `source` alone; a RestartException is the coordinator's own and is thrown at once, unless
+        it is leaving the block already. Who is `recovered` may have done more, also after its time was over
+        or after the block: it is told before anything else.
         """
         agent.frozen = False
         head = "" if recovered else self._visits.head(agent)
         if not recovered and self._limits.strike(agent, message):
             return
         if head == "leave" or (head and kind != "RestartException"):
-            self._together.failed(agent, _only_thread(agent), kind, message)
+            self._together.failed(agent, _only_thread(agent), kind, message, source)
         else:
             self.refuse(agent, _only_thread(agent), kind, message, source)
 
@@ -203,55 +214,10 @@ class Machine:
     def goes_on(self, agent: Agent) -> bool:
         """Whether a frozen coordinator that was restored may `go` where it stands, by the same generation.
 
-        It may when it is at its `together` only to fetch or to leave: nothing it did there is unknown. Else
-        it must be told by `resume` (RestartException) that its call may have begun.
+        It may when it is at its `together` only to fetch or to leave, or at a `reserve`: nothing it did there
+        is unknown. Else it must be told by `resume` (RestartException) that its call may have begun.
         """
         return self._visits.goes_on(agent)
-
-    # --- calls that were begun here -------------------------------------------------------------------
-
-    def begun_calls(self) -> list[Begun]:
-        """The calls that were begun here and not yet fetched, in the order of their beginning."""
-        return list(self._scheduler.begun.values())
-
-    def kept_result(self, key: Key) -> None:
-        """What came back (`World.came_back`) is kept; may be called from there."""
-        self._begun.kept(key)
-
-    def cancel_begun(self, agent: str, below: int | None, reason: str) -> list[Key]:
-        """Cancel the calls that starts of a coordinator before `below` (None: all starts) have begun here.
-
-        Their portals get a CancelledException with this reason, and what they give is dropped. Returns which
-        calls they were: they are forgotten.
-        """
-        return self._begun.cancel(agent, below, reason)
-
-    def end_begun(self, agent: str, kind: str, reason: str) -> None:
-        """The calls of a coordinator that run here come back at once with an exception, as `abandon` does it.
-
-        Their portals go on alone, may command no device, and what they give is dropped.
-        """
-        self._begun.end(agent, kind, reason)
-
-    def restore_begun(self, calls: Iterable[Begun]) -> None:
-        """What this host has kept in an earlier life; before any coordinator is restored.
-
-        Those without a (sound) result are lost: whoever fetches them gets a RestartException.
-        """
-        self._begun.restore(calls, self._soundness)
-
-    def forget_begun(self, keys: Iterable[Key]) -> None:
-        """Nobody will fetch these; portals that still run for them go on alone."""
-        self._begun.forget(keys)
-
-    def fetched(self, agent: Agent) -> list[Key]:
-        """The calls that the coordinator has fetched here since this was last asked; each is told once.
-
-        What the host has kept of them may go when the block with their results is on the disk, here or where
-        it went.
-        """
-        keys, agent.fetched = agent.fetched, []
-        return keys
 
     # --- who calls ------------------------------------------------------------------------------------
 
@@ -269,6 +235,13 @@ class Machine:
         """Whether a thread serves a portal call that was taken from its caller: nobody waits for it."""
         number = resource.block.w[place_of(resource.block, thread) + THREAD_CALL]
         return bool(number) and number not in self._scheduler.calls
+
+    def calls_of_others(self, resource: Agent, agent_id: str) -> bool:
+        """Whether a portal call of anybody but that coordinator is under way in a resource that is here.
+
+        One that was taken from its caller (`abandon`) is somebody else's.
+        """
+        return portals.of_others(self._scheduler, resource, agent_id)
 
     # --- answers from the world -----------------------------------------------------------------------
 
@@ -338,6 +311,8 @@ class Machine:
         scheduler = self._scheduler
         place = place_of(agent.block, thread)
         leave = self.engine.run(agent.block, place, SLICE, agent.limits, agent.readings)
+        if self.attached.meter is not None:
+            self.attached.meter(SLICE - self.engine.unused)
         if agent.polls and self.engine.asked:
             agent.asked.add(thread)
         if agent.blocked:
@@ -367,10 +342,11 @@ class Machine:
                 self._scheduler.uncaught(agent, thread, leave.place)
 
     def _carry_out(self, agent: Agent, thread: int, leave: Outside) -> None:
+        start = agent.block.top
         try:
             self._outsiders.carry_out(agent, thread, leave)
         except Full as full:
-            self._scheduler.make_room(agent, thread, full.words)
+            self._scheduler.make_room(agent, thread, agent.block.lacking(start, full))
 
     def _done(self, agent: Agent, thread: int, word: int) -> None:
         scheduler = self._scheduler

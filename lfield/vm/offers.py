@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 
 from lfield.bytecode.program import ARRAY, FACTS, OBJECT, PROXY, Program, TypeRecord
 from lfield.vm.memory import layout
-from lfield.vm.memory.block import Block, Full
+from lfield.vm.memory.block import Block
 from lfield.vm.memory.layout import header
 
 
@@ -115,9 +115,8 @@ def write_offers(block: Block, shapes: Shapes, capability: int, found: Sequence[
     writer = _Writer(shapes, block.top)
     offers = [writer.offer(shapes.of[capability], one) for one in found]
     place = writer.put(layout.ARRAY, shapes.arrays[capability], offers)
+    block.require(len(writer.words))
     end = block.top + len(writer.words)
-    if end > block.end:
-        raise Full(len(writer.words))
     block.w[block.top : end] = memoryview(writer.words)
     block.top = end
     return place

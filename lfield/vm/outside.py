@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import random
 from collections.abc import Callable, Mapping, Sequence
+from itertools import islice
 
 from msgspec import structs
 
@@ -21,6 +22,7 @@ from lfield.vm.memory.layout import PARKED, PROXY_MEMBER, WAITING
 from lfield.vm.memory.threads import place_of, still_image
 from lfield.vm.memory.values import plain, real_of, real_text, word_for, word_of
 from lfield.vm.offers import Shapes, UnknownWay, write_offers
+from lfield.vm.reserve.held import Held
 from lfield.vm.scheduler import Scheduler
 from lfield.vm.world import Pending
 
@@ -43,11 +45,15 @@ class Outsiders:
         dice: random.Random,
         cancelling: Cancelling,
         limits: TimeLimits,
-        together: Mapping[str, Handler],
+        held: Held,
+        blocks: Mapping[str, Handler],
     ) -> None:
         self._scheduler, self._team, self._here, self._dice = scheduler, team, here, dice
-        self._cancelling, self._limits = cancelling, limits
+        self._cancelling, self._limits, self._held = cancelling, limits, held
         self._shapes = Shapes(scheduler.program)
+        self._by_type: dict[str, dict[str, int]] = {}
+        for member in team:
+            self._by_type.setdefault(member.type, {})[member.id] = member.number
         kinds: dict[str, Handler] = {
             "pcall": self._pcall,
             "yield": self._yield,
@@ -63,7 +69,7 @@ class Outsiders:
             "host": self._host,
             "device": self._device,
             "limit": self._limit,
-            **together,
+            **blocks,
         }
         self._by_code: dict[int, Handler] = {
             row.code: kinds.get(row.name) or self._output(row.name) for row in BY_CODE.values() if row.exits
@@ -182,7 +188,8 @@ class Outsiders:
     def _pcall(self, agent: Agent, thread: int, operand: int, words: list[int]) -> None:
         member = self._behind(agent, words[0])
         if member.host == self._here:
-            portals.call(self._scheduler, member, agent, thread, operand, words)
+            number = self._held.number(agent, member)
+            portals.call(self._scheduler, member, agent, thread, operand, words, number)
             return
         self._scheduler.freeze(agent, thread)
         self._scheduler.world.depart(agent, member)
@@ -191,20 +198,19 @@ class Outsiders:
         scheduler = self._scheduler
         wanted = agent.block.string(words[0])
         name = scheduler.program.core.classes[operand].name
-        of_type = [m for m in self._team if m.type == name]
-        found = next((m for m in of_type if m.id == wanted), None)
-        if found is None:
-            known = ", ".join(m.id for m in of_type[:10]) or "none"
+        of_type = self._by_type.get(name, {})
+        number = of_type.get(wanted)
+        if number is None:
+            known = ", ".join(islice(of_type, 10)) or "none"
             message = f"the deployment has no {name} '{wanted}' (it has {known})"
             scheduler.refuse(agent, thread, "UnknownResourceException", message, wanted)
             return
-        number = found.number
         scheduler.complete(agent, thread, lambda: _proxy(agent, operand, number))
 
     def _find_all(self, agent: Agent, thread: int, operand: int, words: list[int]) -> None:
         scheduler = self._scheduler
         name = scheduler.program.core.classes[operand].name
-        numbers = [m.number for m in self._team if m.type == name]
+        numbers = self._by_type.get(name, {}).values()
         of = next(
             i for i, t in enumerate(scheduler.program.core.types) if t.kind == PROXY and t.of == operand
         )
@@ -212,6 +218,7 @@ class Outsiders:
 
         def work() -> int:
             block = agent.block
+            block.require(1 + len(numbers) * (1 + layout.PROXY_WORDS))
             array = block.allocate(layout.ARRAY, kind, 1 + len(numbers))
             for i, number in enumerate(numbers, array + 1):
                 block.w[i] = _proxy(agent, operand, number)

@@ -210,21 +210,22 @@ class Scheduler:
             self.unblock(agent)
 
     def with_room(self, agent: Agent, work: Callable[[], T]) -> T:
-        """Do work that may raise Full, after a collection if it must; raises Trap at the limit."""
-        try:
-            return work()
-        except Full as full:
-            words = full.words
+        """Do work that may raise Full, from its beginning after a collection; raises Trap at the limit.
+
+        A collection leaves at least twice the room that the work is known to need, so of work that does not
+        say it all at once, few are needed: it comes twice as far each time.
+        """
         while True:
+            start = agent.block.top
+            try:
+                return work()
+            except Full as full:
+                words = agent.block.lacking(start, full)
             collect(agent.block, self.layouts, words)
             if agent.block.top + words > agent.block.limit:
                 raise Trap(
                     "LimitException", f"the heap of {agent.id} is over its limit of {agent.limits.heap} bytes"
                 )
-            try:
-                return work()
-            except Full as full:
-                words += full.words
 
     def make_room(self, agent: Agent, thread: int, words: int) -> None:
         """A thread's instruction lacks so many words: it runs again when there are, else it throws."""

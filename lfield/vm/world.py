@@ -46,6 +46,33 @@ class World(Protocol):
         it stands at this call. It is set when a coordinator comes, since its block was told then.
         """
 
+    def take(self, agent: Agent, resource: Member, *, nested: bool) -> int:
+        """The number of the reservation of a resource of this host, for a frozen coordinator.
+
+        A start of it that has the resource already gets the same number again. 0: not yet; after `Machine.go`
+        this is asked again, unless `Machine.resume` says why not. Whoever is told that, or is given up
+        (`give_up`), has not got it. `nested`: it has another one already, and must not wait for this one.
+
+        Raises Trap (ReservedException, UnreachableResourceException): it has not got it.
+        """
+
+    def drop(self, agent: Agent, held: Sequence[tuple[Member, int]]) -> None:
+        """A coordinator that is here leaves a `reserve`: these resources, here or not, and their numbers.
+
+        It does not wait for anything. What nobody hears of, since there is no link, ends with its lease.
+        """
+
+    def serves(self, agent: Agent, resource: Member, number: int) -> bool:
+        """Whether a portal of a resource of this host may begin for a frozen coordinator.
+
+        `number` is that of the reservation by which it has the resource, 0: by none. This is asked while the
+        resource is `Agent.reserved`, and whenever there is a number: before `may_begin` for a call, before
+        `begins` for each call of a `together`, where a Trap is the outcome of that call.
+
+        False: not yet. After `Machine.go` this is asked again, unless `Machine.resume` says why not; its
+        `source` is the resource then. Raises Trap (ReservedException, ReservationLostException).
+        """
+
     def begins(self, agent: Agent, calls: Sequence[Beginning]) -> bool:
         """Whether the calls that the frozen coordinator's `together` has for this host may begin now.
 

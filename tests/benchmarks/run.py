@@ -28,6 +28,7 @@ FIGURES = {
     "deaths": "deaths.deaths",
     "query": "capability.query",
     "find": "capability.find",
+    "growth": "capability.growth",
     "compositions": "capability.compositions",
     "directory": "capability.directory",
     "traffic": "team.traffic",

@@ -7,7 +7,7 @@ import math
 
 import pytest
 
-from lfield.capability.directory.news import Trouble
+from lfield.capability.directory.news import SILENCE, Trouble
 from lfield.capability.model import Attribute, Live
 from lfield.clock import ManualClock
 from lfield.devices.keeper import Guard
@@ -83,6 +83,11 @@ def test_telemetry_becomes_a_value_of_its_attribute(sampler, guards, source, tol
     assert sample.value == pytest.approx(value) if isinstance(value, float) else sample.value == value
     assert type(sample.value) is type(value)
     assert (sample.at, sample.at - sample.when) == (guards.clock.now, 0.25)
+
+
+def test_of_whom_nothing_is_told_nothing_ever_changes(sampler):
+    """The very same object: a directory goes by that, and looks at nobody again of a team that is still."""
+    assert sampler.condition("arm", {}) is SILENCE
 
 
 @pytest.mark.parametrize(

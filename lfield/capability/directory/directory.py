@@ -16,6 +16,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
 
+from msgspec import Struct
+
 from lfield.capability.directory.news import SILENCE, Announcer, Condition, News, Sample, Trouble
 from lfield.capability.model import Live, Registry
 from lfield.capability.offer import Candidate, Fact
@@ -66,8 +68,7 @@ class _Remote:
     conditions: dict[str, Condition] = field(default_factory=dict)
 
 
-@dataclass(frozen=True, slots=True)
-class _Shown:
+class _Shown(Struct, frozen=True):
     """A candidate as it was answered, good `until` then while condition and link are the same."""
 
     candidate: Candidate
@@ -93,6 +94,8 @@ class Directory:
     ) -> None:
         self._registry, self._here, self._links, self._clock = registry, here, links, clock
         self._agents: dict[str, Deployed] = {a.id: a for a in agents if a.type in registry.providers}
+        #: The agents of this host, whose conditions `own` wants.
+        self.own_agents = [agent.id for agent in self._agents.values() if agent.host == here]
         self._by_type: dict[str, list[Deployed]] = {}
         for agent in self._agents.values():
             self._by_type.setdefault(agent.type, []).append(agent)
@@ -107,11 +110,6 @@ class Directory:
         self._remotes = {agent.host: _Remote() for agent in self._agents.values() if agent.host != here}
 
     # --- this host's agents ---------------------------------------------------------------------------
-
-    @property
-    def own_agents(self) -> list[str]:
-        """The agents of this host, whose conditions `own` wants."""
-        return [agent.id for agent in self._agents.values() if agent.host == self._here]
 
     def live(self, agent: str) -> Mapping[str, Live]:
         """The live attributes of an agent, with where their values come from."""
@@ -175,9 +173,12 @@ class Directory:
         return [self._candidate(agent, now) for agent in self._agents.values()]
 
     def _candidate(self, agent: Deployed, now: float) -> Candidate:
-        here = agent.host == self._here
-        condition = self._own.get(agent.id, SILENCE) if here else self._told(agent)
-        away = None if here else self._links.away.get(agent.host)
+        # Written out, here and below, because a thousand agents go through it in a query.
+        if agent.host == self._here:
+            condition, away = self._own.get(agent.id, SILENCE), None
+        else:
+            condition = self._remotes[agent.host].conditions.get(agent.id, SILENCE)
+            away = self._links.away.get(agent.host)
         shown = self._shown.get(agent.id)
         if shown is None or now >= shown.until or shown.condition is not condition or shown.away != away:
             shown = self._shown[agent.id] = self._show(agent, condition, away, now)
@@ -187,11 +188,7 @@ class Directory:
         facts, unknown, live = self._values[agent.id], condition.unknown, self._live[agent.id]
         trouble = condition.trouble if away is None else Trouble("unreachable", away)
         if live:
-            kept_until = self._kept_until(agent.host)
-            facts = facts | {
-                name: Fact(sample.value, max(0.0, now - _true_at(sample, kept_until)))
-                for name, sample in condition.samples.items()
-            }
+            facts = _with_ages(facts, condition.samples, self._kept_until(agent.host), now)
             if len(condition.samples) + len(unknown) < len(live):
                 untold = (name for name in live if name not in facts and name not in unknown)
                 unknown = {**{name: f"{agent.host} has not told {name} yet" for name in untold}, **unknown}
@@ -199,9 +196,6 @@ class Directory:
         hops = 0 if agent.host == self._here else 1
         candidate = Candidate(agent.id, agent.type, agent.host, hops, refusal, facts, unknown)
         return _Shown(candidate, condition, away, now + MOMENT if live or trouble else math.inf)
-
-    def _told(self, agent: Deployed) -> Condition:
-        return self._remotes[agent.host].conditions.get(agent.id, SILENCE)
 
     def _kept_until(self, host: str) -> float:
         """Until when a host surely kept its values up to date; those of this host are as old as they say."""
@@ -212,9 +206,17 @@ class Directory:
         return remote.kept_until if heard is None else max(remote.kept_until, heard)
 
 
-def _true_at(sample: Sample, kept_until: float) -> float:
-    """When a value was last true: one that is kept has moved on with its host, up to `kept_until`."""
-    return sample.when + max(0.0, kept_until - sample.at) if sample.kept else sample.when
+def _with_ages(
+    stated: Mapping[str, Fact], samples: Mapping[str, Sample], kept_until: float, now: float
+) -> dict[str, Fact]:
+    """What is stated and the live values: what is kept has moved on with its host, up to `kept_until`."""
+    facts = dict(stated)
+    for name, sample in samples.items():
+        true_at = sample.when
+        if sample.kept and kept_until > sample.at:
+            true_at += kept_until - sample.at
+        facts[name] = Fact(sample.value, now - true_at if now > true_at else 0.0)
+    return facts
 
 
 def live_attributes(registry: Registry, agent: Deployed) -> dict[str, Live]:

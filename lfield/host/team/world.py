@@ -15,7 +15,7 @@ from lfield.manifest import DeviceValue
 from lfield.mission.team import Team
 from lfield.vm.agent import Agent, Member
 from lfield.vm.begun import Beginning, Begun
-from lfield.vm.contract import Reading
+from lfield.vm.contract import Reading, Trap
 from lfield.vm.offers import Found
 from lfield.vm.world import Pending
 
@@ -60,6 +60,17 @@ class HostWorld:
         Where its caller stands is kept before one that acts, and some callers need a lease.
         """
         return self._leases.may_begin(agent) and (agent.kept or not acts or self._begun.save(agent))
+
+    def take(self, agent: Agent, resource: Member, *, nested: bool) -> int:
+        """Nobody reserves anything here."""
+        raise Trap("UnreachableResourceException", f"{resource.id} cannot be reserved", resource.id)
+
+    def drop(self, agent: Agent, held: Sequence[tuple[Member, int]]) -> None:
+        """There is nothing to give back."""
+
+    def serves(self, agent: Agent, resource: Member, number: int) -> bool:
+        """Everybody is served."""
+        return True
 
     def begins(self, agent: Agent, calls: Sequence[Beginning]) -> bool:
         """Whether the calls of a `together` may begin here now: each has a page first."""

@@ -86,6 +86,15 @@ class Block:
         self.w[layout.W_TOP] = self.top
         return memoryview(self.data)[: 8 * self.top]
 
+    def require(self, words: int) -> None:
+        """Raise Full unless there is room for so many words: for all that is written, before any of it is."""
+        if self.top + words > self.end:
+            raise Full(words)
+
+    def lacking(self, start: int, full: Full) -> int:
+        """How much room a work needs at least that has come so far, from where the top was when it began."""
+        return self.top - start + full.words
+
     def allocate(self, kind: int, index: int, words: int) -> int:
         """Room for a thing of so many words, all 0 behind its header; raises Full."""
         place = self.top

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from lfield.vm.memory.block import Block, Full
+from lfield.vm.memory.block import Block
 from lfield.vm.memory.layout import Layouts
 
 
@@ -14,12 +14,10 @@ def deep_copy(source: Block, roots: list[int], target: Block, layouts: Layouts) 
     program.
     """
     order, words = _closure(source, roots, layouts)
-    base = target.top
-    if base + words > target.end:
-        raise Full(words)
+    target.require(words)
     w, into = source.w, target.w
     moved = {0: 0}
-    place = base
+    place = target.top
     for old in order:
         size = w[old] >> 32
         into[place : place + size] = w[old : old + size]

@@ -37,7 +37,8 @@ def parcel_made(digest: bytes, make: Callable[[Block], int]) -> bytes:
             block.w[W_SELF] = make(block)
             return bytes(block.image())
         except Full as full:
-            words = block.top - HEADER_WORDS + full.words
+            # Twice what it lacks, as it may be made of many small things.
+            words = 2 * block.lacking(HEADER_WORDS, full)
 
 
 def open_parcel(parcel: bytes, target: Block, layouts: Layouts) -> int:

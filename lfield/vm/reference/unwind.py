@@ -20,11 +20,31 @@ from lfield.bytecode.program import (
 )
 from lfield.vm.inspect.traceback import INNERMOST, lines_down_to
 from lfield.vm.memory.block import Block, Full
-from lfield.vm.memory.layout import FRAME_CALLER, FRAME_RETURN, FRAME_SLOTS, OBJECT
+from lfield.vm.memory.layout import (
+    FRAME_CALLER,
+    FRAME_RETURN,
+    FRAME_SLOTS,
+    OBJECT,
+    PARKED,
+    SLEEPING,
+    THREAD_FRAME,
+    THREAD_PC,
+    THREAD_STATE,
+)
 from lfield.vm.reference.calls import release
 
 #: A frame and one of its method's rows.
 Row = tuple[int, Handler]
+
+
+def rows_of(block: Block, program: Program, thread: int) -> Iterator[Row]:
+    """Every row around the place where a thread, a record in the block, stands, innermost first."""
+    w = block.w
+    pc = w[thread + THREAD_PC]
+    if w[thread + THREAD_STATE] in (SLEEPING, PARKED):
+        # It stands behind its instruction already.
+        pc -= 1
+    return rows_around(block, program, w[thread + THREAD_FRAME], pc)
 
 
 def rows_around(block: Block, program: Program, frame: int, pc: int) -> Iterator[Row]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import random
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 from lfield.bytecode.program import DeviceCall, Program
 from lfield.clock import ManualClock
@@ -13,6 +13,7 @@ from lfield.vm.agent import Agent, Member
 from lfield.vm.begun import Beginning, Begun
 from lfield.vm.contract import Limits
 from lfield.vm.machine import Machine
+from lfield.vm.memory.collector import collect
 from lfield.vm.world import PENDING, Pending
 
 
@@ -60,7 +61,12 @@ class Joined:
     """
 
     def __init__(
-        self, program: Program, hosts: int, kind: str = "Post", limits: Limits | None = None
+        self,
+        program: Program,
+        hosts: int,
+        kind: str = "Post",
+        limits: Limits | None = None,
+        place: Callable[[], Place] = Place,
     ) -> None:
         self.program, self.clock, self.limits = program, ManualClock(), limits or Limits()
         self.team = [Member(i, f"r{i}", kind, "resource", i) for i in range(hosts)]
@@ -71,7 +77,7 @@ class Joined:
         self.hops = 0
         self.route = [0]
         for host in range(hosts):
-            self.places.append(Place())
+            self.places.append(place())
             self.machines.append(self._machine(host, 1 + host))
         self.machines[0].start(self.team[-1], self.limits, 1)
 
@@ -139,3 +145,17 @@ class Joined:
                 self.clock.advance(max(0.0, end - self.clock.now) if pause is not None else 0.0)
                 return
             self.clock.advance(pause)
+
+
+class Collecting(Joined):
+    """Collects everything whenever it can, and packs and restores the coordinator on every hop."""
+
+    def still(self) -> float | None:
+        for _ in range(100_000):
+            pauses = [machine.run() for machine in self.machines]
+            for machine in self.machines:
+                for agent in machine.agents.values():
+                    collect(agent.block, machine.layouts)
+            if 0.0 not in pauses:
+                return min((pause for pause in pauses if pause is not None), default=None)
+        raise AssertionError("the machines never rest")

@@ -1,0 +1,95 @@
+"""How the cost of a find, and of a query, grows with the team: time, and the bytes of the coordinator.
+
+What is asked for is offered directly, by an equivalence, or by compositions of two and of three; or it is all
+proxies of a type. Teams of two (`teamsX`) have their place in KINDS when there are any. `growth` is how many
+times as much ten times as many agents cost.
+"""
+
+from __future__ import annotations
+
+import gc
+import math
+from collections.abc import Callable, Iterator
+from itertools import pairwise
+
+from capability.growing_team import PROXIES, FirstHost, growing_mission
+from harness.checkout import Checkout
+from harness.figure import Figure, Opener
+from harness.processes import Processes
+from harness.samples import Contender
+from harness.words import TIMES
+
+SIZES = 10, 100, 1_000, 3_000
+_SAID = {
+    PROXIES: "proxies",
+    "Direct": "direct",
+    "Equal": "equivalent",
+    "Pair": "composed of two",
+    "Trio": "composed of three",
+}
+
+
+def growing(kind: str, *, lively: bool, choosy: bool) -> Opener:
+    """One question to teams of all sizes."""
+
+    def opener(checkout: Checkout, processes: Processes) -> Contender:
+        hosts = {size: FirstHost(growing_mission(kind, size, lively), lively, choosy) for size in SIZES}
+        for host in hosts.values():
+            host.find()
+        return lambda: dict(_measured(hosts, kind))
+
+    return opener
+
+
+def _measured(hosts: dict[int, FirstHost], kind: str) -> Iterator[tuple[str, list[float]]]:
+    yield from _seconds("find", {size: _undisturbed(host.find) for size, host in hosts.items()})
+    for size, host in hosts.items():
+        yield _case("memory", size), [host.memory() / 1024]
+    if kind != PROXIES:
+        asked = {size: _undisturbed(lambda h=host: h.query(kind)) for size, host in hosts.items()}
+        yield from _seconds("query", asked)
+
+
+def _undisturbed(ask: Callable[[], float]) -> float:
+    """The best of three."""
+    gc.collect()
+    return min(ask() for _ in range(3))
+
+
+def _seconds(verb: str, took: dict[int, float]) -> Iterator[tuple[str, list[float]]]:
+    for size, seconds in took.items():
+        yield _case(verb, size), [seconds]
+    for few, many in pairwise(SIZES):
+        yield _growth(verb, few, many), [(took[many] / took[few]) ** (1 / math.log10(many / few))]
+
+
+def _case(what: str, size: int) -> str:
+    return f"{what}, {size:,} agents"
+
+
+def _growth(verb: str, few: int, many: int) -> str:
+    return f"{verb}, growth from {few:,} to {many:,}"
+
+
+_GROWTHS = [_growth(verb, few, many) for verb in ("find", "query") for few, many in pairwise(SIZES)]
+
+FIGURE = Figure(
+    "Finding and asking in a team that grows",
+    {
+        f"{said}, {'lively' if lively else 'still'}{', a condition' if choosy else ''}": growing(
+            kind, lively=lively, choosy=choosy
+        )
+        for kind, said in _SAID.items()
+        for lively in (False, True)
+        for choosy in (False, True)
+        if kind != PROXIES or not (lively or choosy)
+    },
+    rounds=3,
+    units=dict.fromkeys(_GROWTHS, TIMES) | {_case("memory", size): "KiB" for size in SIZES},
+    targets=dict.fromkeys(_GROWTHS, "15x") | {_case("find", 1_000): "5.00 ms"},
+    notes=(
+        "growth: per ten times as many agents, also where there are three times as many",
+        "query: what `lfield query` does once the hosts have answered, why others are not offered too",
+        "times are of the processor, in one process: what else runs here does not count",
+    ),
+)

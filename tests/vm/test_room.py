@@ -1,0 +1,132 @@
+"""Making room: how often a heap is collected, and how many words are moved, while many small things are made.
+
+What is counted is work, never time: of ten times as many things, about ten times as much.
+"""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import pytest
+
+from lfield.bytecode.program import Program
+from lfield.clock import ManualClock
+from lfield.testing.golden import Desk, compile_text, settle
+from lfield.vm import scheduler
+from lfield.vm.agent import Member
+from lfield.vm.contract import Limits
+from lfield.vm.machine import Machine
+from lfield.vm.memory.block import Block
+from lfield.vm.memory.collector import collect
+from lfield.vm.memory.layout import HEADER_WORDS, Layouts
+from lfield.vm.memory.parcels import parcel_made
+
+#: Of ten times as many things, at most so many times as much is moved.
+GROWTH = 15
+FEW, MANY = 400, 4000
+
+TEXT = """
+class Node { public Node next; public int number; public Node(Node n, int i) { next = n; number = i; } }
+resource Post {
+    init(string[] arg) { while (true) yield(); }
+    portal take(Node first) { }
+    portal give(int count) emit Node {
+        Node n = null;
+        for (int i = 0; i < count; i = i + 1) n = new Node(n, i);
+        return n;
+    }
+}
+coordinator Boss { init(string[] arg) { work(s2i(arg[1])); } private void work(int count) { %s } }
+"""
+
+
+@dataclass
+class Work:
+    """What the collector has done: how often, how many words it has moved, and how often for each room."""
+
+    collections: int = 0
+    words: int = 0
+
+
+@pytest.fixture
+def work(monkeypatch: pytest.MonkeyPatch) -> Work:
+    """Counts what is collected to make room."""
+    done = Work()
+
+    def counted(block: Block, layouts: Layouts, room: int = 0) -> None:
+        collect(block, layouts, room)
+        done.collections += 1
+        done.words += block.top
+        assert done.collections < 20_000, "it makes room for ever"
+
+    monkeypatch.setattr(scheduler, "collect", counted)
+    return done
+
+
+def run(body: str, count: int, posts: int = 1, limits: Limits | None = None, arguments: int = 0) -> Desk:
+    """A boss that works with a number of posts."""
+    program: Program = compile_text(TEXT % body)
+    team = [Member(i, f"post{i}", "Post", "resource", 0) for i in range(posts)]
+    team.append(Member(posts, "boss", "Boss", "coordinator", 0, (str(count), *["word"] * arguments)))
+    desk, clock = Desk(), ManualClock()
+    machine = desk.machine = Machine(program, team, 0, 1, desk, clock, random.Random(1))
+    for member in (team[0], team[-1]):
+        machine.start(member, limits or Limits(heap=1 << 22), generation=1)
+    settle(machine, clock)
+    return desk
+
+
+def found(count: int) -> Desk:
+    return run("print(findPost().length());", count, posts=count)
+
+
+def born(count: int) -> Desk:
+    return run('print("born");', count, arguments=count)
+
+
+def test_room_for_all_proxies_is_made_at_once(work: Work) -> None:
+    assert found(MANY).output == [str(MANY)]
+    assert work.collections == 1
+
+
+@pytest.mark.parametrize("things", [found, born])
+def test_the_work_of_making_room_grows_as_what_is_made(things: Callable[[int], Desk], work: Work) -> None:
+    assert things(FEW).output
+    few, work.words, work.collections = work.words, 0, 0
+    assert things(MANY).output
+    assert work.words < GROWTH * max(few, FEW)
+    assert work.collections < 15
+
+
+def test_a_parcel_of_many_small_things_is_made_in_few_attempts() -> None:
+    attempts = []
+
+    def make(block: Block) -> int:
+        attempts.append(block)
+        return [block.new_string("word") for _ in range(MANY)][-1]
+
+    parcel = parcel_made(bytes(32), make)
+    assert len(parcel) == 8 * (HEADER_WORDS + 3 * MANY)
+    assert len(attempts) < 15
+
+
+COPIES = 'Post p = findPost("post0"); p.take(p.give(count)); print("copied");'
+
+
+def test_room_for_a_deep_copy_is_made_at_once(work: Work) -> None:
+    assert run(COPIES, FEW).output == run(COPIES, MANY).output == ["copied"]
+    assert work.collections < 40
+
+
+def test_what_needs_room_in_several_pieces_is_over_the_limit_when_all_do_not_fit(work: Work) -> None:
+    """A call of a `together`: its frame, a copy of its arguments, its ticket; any of them alone would fit."""
+    body = """
+    Post p = findPost("post0");
+    Node n = null;
+    for (int i = 0; i < count; i = i + 1) n = new Node(n, i);
+    try { together { p.take(n); } print("called"); } catch (LimitException e) { print("full"); }
+    """
+    said = {run(body, count, limits=Limits(heap=16 << 10)).output[0] for count in range(240, 340)}
+    assert said == {"called", "full"}
