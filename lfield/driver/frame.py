@@ -30,6 +30,9 @@ class Origin(msgspec.Struct, frozen=True):
     longitude: float
     altitude: float
 
+    def __str__(self) -> str:
+        return f"{self.latitude:.7f}, {self.longitude:.7f} at {self.altitude:.2f} m"
+
 
 class Frame(Protocol):
     """A frame in the team's: places there and back, and how its north is turned (rad, clockwise)."""

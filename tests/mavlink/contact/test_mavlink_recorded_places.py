@@ -1,4 +1,4 @@
-"""Places of real autopilots, recorded: metres of their local frame and their degrees are one place in a team."""
+"""Places of real autopilots, recorded: metres of their local frame and their degrees are one place."""
 
 from __future__ import annotations
 
