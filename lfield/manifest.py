@@ -19,6 +19,9 @@ Effect = Literal["query", "idempotent", "actuate"]
 #: carried out to its end; or no more than that nobody waits for it any longer.
 NEVER, LEAVE = "never", "leave"
 
+#: What of the team's frame a parameter or a quantity is about (`lfield.driver.frame` says how each is meant).
+FRAME_KINDS = ("place", "direction", "heading")
+
 #: L types that may cross between a program and a driver.
 DEVICE_VALUE_TYPES = ("boolean", "int", "real", "string", "real[]", "int[]")
 
@@ -39,12 +42,16 @@ class Observation(Struct, frozen=True, array_like=True):
 
 @dataclass(frozen=True, slots=True)
 class Parameter:
-    """One parameter of an instruction. `type` is an L type name, `unit` an SI unit or ''."""
+    """One parameter of an instruction. `type` is an L type name, `unit` an SI unit or ''.
+
+    `frame` is a kind of FRAME_KINDS for what is about the team's frame, '' for all else.
+    """
 
     name: str
     type: str
     unit: str = ""
     meaning: str = ""
+    frame: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,7 +103,7 @@ class Quantity:
     """One telemetry quantity that the driver publishes and queries read.
 
     `max_age` in seconds; `rate` in Hz is how often the driver sees to it that the device tells it, 0 when it
-    is told only now and then, or not by every device.
+    is told only now and then, or not by every device. `frame` is as that of a parameter.
     """
 
     name: str
@@ -105,6 +112,7 @@ class Quantity:
     max_age: float = 3.0
     meaning: str = ""
     rate: float = 0.0
+    frame: str = ""
 
 
 @dataclass(frozen=True)

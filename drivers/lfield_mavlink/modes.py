@@ -13,6 +13,9 @@ from dataclasses import dataclass
 #: MAV_AUTOPILOT of the two that are served.
 ARDUPILOT, PX4 = 3, 12
 STACKS: Mapping[int, str] = {ARDUPILOT: "ArduPilot", PX4: "PX4"}
+#: Metres: of the sphere on which each counts between degrees and metres, as recorded (ap-rover.c-speed and
+#: px4-copter.e-gcs-loss: 6378.4 and 6371.0 km) and as their sources have it.
+RADII: Mapping[int, float] = {ARDUPILOT: 6378100.0, PX4: 6371000.0}
 
 
 @dataclass(frozen=True, slots=True)

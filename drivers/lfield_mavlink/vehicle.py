@@ -6,10 +6,11 @@ import asyncio
 from collections.abc import Callable, Coroutine, Sequence
 from typing import Any
 
-from lfield.driver import Clock, DeviceBinding, DeviceError, Manifest, Reports, Setting
+from lfield.driver import Clock, DeviceBinding, DeviceError, Frame, Manifest, Reports, Setting
 from lfield_mavlink.contact.contact import LINK_LOST, Contact
 from lfield_mavlink.contact.link_health import LinkHealth
 from lfield_mavlink.contact.streams import Streams
+from lfield_mavlink.frames import frame_of
 from lfield_mavlink.limit_keeper import LimitKeeper
 from lfield_mavlink.limits import Limits
 from lfield_mavlink.link.ports import LinkCounts
@@ -170,6 +171,10 @@ class MavlinkVehicle(Contact):
 
     async def _make_safe(self, state: str) -> None:
         await self._flight.make_safe(state)
+
+    def _frame(self) -> Frame | None:
+        placement = self.binding.frame
+        return None if placement is None else frame_of(placement, self.state)
 
     def _moving(self) -> str:
         return self._rest.words()

@@ -68,7 +68,7 @@ class Team:
         self._mission = mission
         self._maps = [f"--map={host}=127.0.0.1:{free_port()}" for host in (*HOSTS, CART)]
         self._hosts: dict[str, Host] = {}
-        self._said = threading.Condition()
+        self._said, self._shown = threading.Condition(), sys.stdout
         #: What the foreman has said.
         self.lines: list[str] = []
 
@@ -136,7 +136,8 @@ class Team:
         for line in process.stdout:
             if OTHERS.match(line):
                 continue
-            print(f"{host:5} | {line}", end="", flush=True)
+            # Not to wherever a question's answer goes just then.
+            print(f"{host:5} | {line}", end="", file=self._shown, flush=True)
             with self._said:
                 self.lines.append(line)
                 self._said.notify_all()

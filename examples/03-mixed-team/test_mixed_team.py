@@ -25,6 +25,9 @@ def test_the_parcel_goes_from_the_copter_to_the_hand_under_the_hook(lfield_missi
     assert calls["hoist", "lower"].at < calls["carrier", "goTo"].ended, "the hook comes down while it flies"
     far = max(point.north**2 + point.east**2 for point in team.tracks["carrier.fc"]) ** 0.5
     assert far == pytest.approx(5.0, abs=0.5)
+    track = team.tracks["carrier.fc"]
+    assert track[0][1:3] == pytest.approx((-4.0, -2.0), abs=0.1), "it starts somewhere else"
+    assert track[-1][1:3] == pytest.approx((0.0, 0.0), abs=0.6), "and lands at the dock"
 
 
 def test_in_the_end_each_goes_to_its_safe_state(lfield_mission):

@@ -71,7 +71,7 @@ def keeps_step(team):
 
 def moves_at_one_time(team):
     """All of a step, for a visit to begin and one to fetch, but for the host where it is."""
-    goes = [call for call in team.calls if call.portal in ("flyToGlobal", "driveToGlobal")]
+    goes = [call for call in team.calls if call.portal in ("flyTo", "driveTo")]
     steps = [goes[i : i + 5] for i in range(0, len(goes), 5)]
     assert len(steps) == agreements(team) - 1 == 12
     assert all(max(call.at for call in step) < min(call.ended for call in step) for step in steps)
@@ -179,19 +179,8 @@ def test_one_who_is_taken_along_by_a_storm_is_left_behind(lfield_mission):
 
 def test_a_low_battery_does_not_march(lfield_mission):
     team = marched(lfield_mission, fakes={"bob.fc": ["battery=0.25"]})
-    assert worst_of_four(team) < OFF
+    assert worst(team, "line", [who for who in HOSTS if who != "bob"]) < OFF
     assert not any(point.up > 0.1 for point in team.tracks["bob.fc"])
-
-
-def worst_of_four(team):
-    """The others have another middle, which is where their march begins."""
-    members = [who for who in HOSTS if who != "bob"]
-    starts = [team.tracks[f"{who}.fc"][0] for who in members]
-    north, east = (sum(point[axis] for point in starts) / 4 for axis in (1, 2))
-    moment = told(team, "line")[1]
-    here = [at(team, who, moment)[1:3] for who in members]
-    slots = [(n + north, e + east) for n, e in places("line", 4)]
-    return min(max(map(math.dist, here, order)) for order in permutations(slots))
 
 
 def test_one_seed_is_one_march(lfield_mission):

@@ -8,6 +8,7 @@ from lfield.clock import Clock
 from lfield.driver.binding import DeviceBinding
 from lfield.driver.contract import WATCHDOG, Manifest
 from lfield.driver.device import Device, Driver, Reports
+from lfield.driver.frame import Frame, Origin, Placement, Pose, Vector
 from lfield.driver.plugin import Plugin
 from lfield.driver.settings import Setting
 from lfield.errors import DeviceError
@@ -20,9 +21,14 @@ __all__ = [
     "DeviceBinding",
     "DeviceError",
     "Driver",
+    "Frame",
     "Manifest",
+    "Origin",
+    "Placement",
     "Plugin",
+    "Pose",
     "Reports",
     "Setting",
+    "Vector",
     "read_within",
 ]

@@ -7,6 +7,8 @@ from typing import Any
 
 import msgspec
 
+from lfield.driver.frame import Placement
+
 #: The endpoint of a device whose fake has not been started yet begins so; what follows names the bus.
 SIMULATED = "sim:"
 
@@ -28,12 +30,14 @@ class DeviceBinding(msgspec.Struct, frozen=True, kw_only=True):
     """A device with its driver, place and limits; travels to the guard as it is.
 
     `ttl` is the time-to-live of a setpoint in seconds, and how long a command may take to begin; within
-    `rest_within` seconds of a stop the device is at rest, or its guard gives up and says so. `without_policy`
-    says what becomes of it when no coordinator that used it is heard of any more, None for nothing. `limits`
-    are in the SI units that the manifest names, `options` are the driver's own (`system`, `kind`). An absent
-    limit does not limit. `waivers` name the protections that whoever wrote the binding has knowingly given
-    up. `sim` are faults and conditions of its fake, `NAME=VALUE`, for simulated missions. `type` is the
-    device type in L. A pure sensor has no `safe_state`, and nothing of its `ttl` and `rest_within` applies.
+    `rest_within` seconds of a stop the device is at rest, or its guard gives up and says so.
+    `without_policy` says what becomes of it when no coordinator that used it is heard of any more, None
+    for nothing. `limits` are in the SI units that the manifest names, `options` are the driver's own
+    (`system`, `kind`). An absent limit does not limit. `waivers` name the protections that whoever wrote
+    the binding has knowingly given up. `frame` says where its agent is in the team's frame, None where
+    nobody has said that. `sim` are faults and conditions of its fake, `NAME=VALUE`, for simulated
+    missions. `type` is the device type in L. A pure sensor has no `safe_state`, and nothing of its `ttl`
+    and `rest_within` applies.
     """
 
     agent: str
@@ -48,6 +52,7 @@ class DeviceBinding(msgspec.Struct, frozen=True, kw_only=True):
     options: dict[str, OptionValue] = {}
     waivers: list[str] = []
     without_policy: WithoutPolicy | None = None
+    frame: Placement | None = None
     sim: list[str] = []
 
     @property

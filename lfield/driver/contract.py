@@ -57,6 +57,7 @@ class Manifest:
     """A manifest file: the device type for L, and what its bindings may say.
 
     `fakes` are the options, by resource type of L or ANY, of a device that is simulated and bound nowhere.
+    `geographic` devices tell where on the Earth their own frame begins, once they know it.
     """
 
     device: DeviceManifest
@@ -64,6 +65,13 @@ class Manifest:
     limits: tuple[Limit, ...] = ()
     waivers: tuple[tuple[str, str], ...] = ()
     fakes: Mapping[str, Mapping[str, OptionValue]] = field(default_factory=dict)
+    geographic: bool = False
+
+    @property
+    def has_places(self) -> bool:
+        """Whether anything that it is told or tells is about the team's frame."""
+        parameters = (p for instruction in self.device.instructions for p in instruction.parameters)
+        return any(q.frame for q in self.device.telemetry) or any(p.frame for p in parameters)
 
     def fake_options(self, resource: str) -> dict[str, OptionValue]:
         """The options of a device on a fake that nobody has bound, in a resource of this type.

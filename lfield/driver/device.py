@@ -19,10 +19,11 @@ from typing import Any, NamedTuple, Protocol
 from lfield.clock import Clock
 from lfield.driver.binding import DeviceBinding
 from lfield.driver.contract import WATCHDOG, Manifest
+from lfield.driver.frame import Frame, arguments_from_team, values_to_team
 from lfield.driver.settings import Setting, wrong
 from lfield.driver.values import CHECKS, Check, conform
 from lfield.errors import DeviceError, NotSetUp, PluginError
-from lfield.manifest import DeviceValue, Instruction
+from lfield.manifest import DeviceValue, Instruction, Parameter
 
 #: The kind of the problem of a device that `lfield setup` sets up, where others have an L exception's name.
 NOT_SET_UP = "NotSetUp"
@@ -48,11 +49,15 @@ class Reports(Protocol):
 
 
 class _Call(NamedTuple):
-    """How an instruction is carried out: its coroutine, and what its arguments and its result must be."""
+    """How an instruction is carried out: its coroutine, and what its arguments and its result must be.
+
+    `places` are its parameters where some are about the team's frame, which this device has a place in.
+    """
 
     method: Callable[..., Awaitable[object]]
     arguments: tuple[Check, ...]
     result: Check
+    places: Sequence[Parameter] = ()
 
 
 def method_name(instruction: str) -> str:
@@ -63,10 +68,12 @@ def method_name(instruction: str) -> str:
 class Device:
     """One device on a bus.
 
-    Authors override `_open`, `_make_safe` (but for a pure sensor), for a device that has one `_set_watchdog`,
-    for one that opening only asks at first `_touched`, for one that takes its time to come to rest `_moving`,
-    for one that others may take over `_taken_over` and `_guard_restarted`, for one that keeps settings which
-    a binding needs `_settings`, `_write_setting`, `_in_use` and `_serial`, and write the `do_...` coroutines.
+    Authors override `_open`, `_make_safe` (but for a pure sensor), for a device that has one
+    `_set_watchdog`, for one that opening only asks at first `_touched`, for one that takes its time to
+    come to rest `_moving`, for one that others may take over `_taken_over` and `_guard_restarted`, for
+    one whose own frame is not simply where its binding says `_frame`, for one that keeps settings which a
+    binding needs `_settings`, `_write_setting`, `_in_use` and `_serial`, and write the `do_...`
+    coroutines.
 
     A device that can do much may have `parts`: any objects, made in its constructor, whose `do_...` are
     looked up beside its own. A part takes what it needs (often the device itself, to ask and to publish),
@@ -82,6 +89,8 @@ class Device:
         self.safe_state = binding.safe_state
         self._reports = reports
         self._types = {quantity.name: quantity.type for quantity in manifest.device.telemetry}
+        placed = binding.frame is not None
+        self._in_frame = {q.name: q.frame for q in manifest.device.telemetry if q.frame and placed}
         self._calls: dict[str, _Call] = {}
 
     async def open(self, *, again: bool = False) -> str:
@@ -114,7 +123,13 @@ class Device:
     async def execute(self, instruction: str, arguments: Sequence[object]) -> DeviceValue:
         """Carry an instruction out and return its result. Raises DeviceError when it did not happen."""
         call = self._calls.get(instruction) or self._call(instruction)
-        values = [check(value) for check, value in zip(call.arguments, arguments, strict=True)]
+        values: list[object] = [c(value) for c, value in zip(call.arguments, arguments, strict=True)]
+        if call.places:
+            if (frame := self._frame()) is None:
+                raise self.error(
+                    f"{instruction} refused: it does not know yet where it is in the team's frame"
+                )
+            values = arguments_from_team(call.places, values, frame)
         return call.result(await call.method(*values))
 
     def _call(self, instruction: str) -> _Call:
@@ -126,6 +141,8 @@ class Device:
         name = method_name(instruction)
         owner = next((part for part in self.parts if hasattr(part, name)), self)
         call = _Call(getattr(owner, name), checks, CHECKS[declared.result])
+        if self.binding.frame is not None and any(each.frame for each in declared.parameters):
+            call = call._replace(places=declared.parameters)
         self._calls[instruction] = call
         return call
 
@@ -207,7 +224,12 @@ class Device:
             raise self.error(f"nothing was written: {why}")
 
     def publish(self, **values: object) -> None:
-        """Tell the host the present values of telemetry quantities."""
+        """Tell the host the present values of telemetry quantities; what is about the team's frame, in it.
+
+        As long as it is not known where its own frame lies, nothing is told of that.
+        """
+        if not self._in_frame.keys().isdisjoint(values):
+            values = values_to_team(self._in_frame, values, self._frame())
         self._reports.publish(self.binding.name, {n: conform(v, self._types[n]) for n, v in values.items()})
 
     def heard(self) -> None:
@@ -242,6 +264,13 @@ class Device:
 
     async def _make_safe(self, state: str) -> None:
         raise NotImplementedError
+
+    def _frame(self) -> Frame | None:
+        """Where its own frame lies in the team's, None as long as that is not known; asked where it has one.
+
+        A device that finds itself on the Earth, or whose frame moves, knows better than its binding.
+        """
+        return None if self.binding.frame is None else self.binding.frame.pose
 
     def _moving(self) -> str:
         """See `moving`; a device that is still as soon as its safe state is confirmed needs none."""

@@ -29,6 +29,8 @@ What blocks and acts says what a `cancel` of it does, when a program gives it up
 instruction that is carried out instead (of the same channel, without parameters, done when the device has
 been seen to do it); `never`, when it must go on to its end, as a landing, or ends soon; or `leave`, when
 it is only waited for no longer, and what it began goes on.
+What of the team's frame a parameter or quantity is about says its `frame`: `place`, `direction` or `heading`
+(`lfield.driver.frame`). A device with `geographic: true` knows where on the Earth its own frame begins.
 A device without safe states is a pure sensor: all its instructions are queries, and it is never latched.
 Every device type has two instructions more, `release()` and `age()`; no manifest declares them.
 """
@@ -45,6 +47,7 @@ from lfield.driver.contract import STANDARD, WATCHDOG, Limit, Manifest, Option
 from lfield.errors import PluginError
 from lfield.manifest import (
     DEVICE_VALUE_TYPES,
+    FRAME_KINDS,
     LEAVE,
     NEVER,
     DeviceManifest,
@@ -92,6 +95,7 @@ def _manifest(node: Node, found: Diagnostics) -> Manifest:
     limits = tuple(_limit(name, fields) for name, fields in _named(top, "limits"))
     watchdog = ((WATCHDOG, "it has no watchdog of its own, or a slow one"),) if safe_states else ()
     waivers = (*watchdog, *_waivers(top))
+    geographic = top.flag("geographic")
     fakes = {entry.key: _fake(fields, options) for entry, fields in top.section("fakes").entries()}
     instructions = [_instruction(name, fields) for name, fields in _named(top, "instructions")]
     _check_safe(top, safe_states, instructions)
@@ -108,7 +112,7 @@ def _manifest(node: Node, found: Diagnostics) -> Manifest:
         safe_states=safe_states,
         meaning=meaning,
     )
-    return Manifest(device, options, limits, waivers, fakes)
+    return Manifest(device, options, limits, waivers, fakes, geographic)
 
 
 def _check_safe(top: Fields, safe_states: Sequence[str], instructions: Sequence[Instruction]) -> None:
@@ -257,7 +261,7 @@ def _instruction(name: str, fields: Fields) -> Instruction:
 
 def _parameter(name: str, fields: Fields) -> Parameter:
     kind = fields.text("type", "real", required=True, choices=DEVICE_VALUE_TYPES)
-    parameter = Parameter(name, kind, fields.text("unit"), fields.text("meaning"))
+    parameter = Parameter(name, kind, fields.text("unit"), fields.text("meaning"), _frame(fields, kind))
     fields.done()
     return parameter
 
@@ -266,6 +270,14 @@ def _quantity(name: str, fields: Fields) -> Quantity:
     kind = fields.text("type", "real", required=True, choices=DEVICE_VALUE_TYPES)
     max_age = fields.number("max_age", 3.0, minimum=0.001)
     unit, meaning, rate = fields.text("unit"), fields.text("meaning"), fields.number("rate", minimum=0.0)
-    quantity = Quantity(name, kind, unit, max_age, meaning, rate)
+    quantity = Quantity(name, kind, unit, max_age, meaning, rate, _frame(fields, kind))
     fields.done()
     return quantity
+
+
+def _frame(fields: Fields, kind: str) -> str:
+    """What of the team's frame a value of a type is about; only a real, or an array of them, can be."""
+    frame = fields.text("frame", choices=FRAME_KINDS)
+    if frame and kind not in ("real", "real[]"):
+        fields.report("Y113", f"a {kind} is no {frame}", fields.value_span("frame"), "make it real or real[]")
+    return frame

@@ -138,6 +138,7 @@ class HostCore:
             self.mission.world,
             self._memory,
             str(self.mission.recovery) if self.mission.fenced else "",
+            str(self.mission.bindings.frames.origin or ""),
         )
 
     # --- time -----------------------------------------------------------------------------------------

@@ -51,10 +51,11 @@ class TeamDirectory:
         nearby: Neighbours,
         clock: Clock,
     ) -> None:
-        self.registry = registry = mission.registry or NO_REGISTRY
+        self.registry = registry = mission.stated or NO_REGISTRY
         agents = mission.team.deployed
         self._clock = clock
-        self.directory = Directory(registry, agents, name, nearby, clock, life)
+        pose = mission.bindings.frames.place(name)
+        self.directory = Directory(registry, agents, name, nearby, clock, life, pose)
         self._reports = Reports(registry, agents)
         fields = {agent.id: mission.bindings.devices.get(agent.id, {}) for agent in agents}
         bound = mission.bindings.attributes

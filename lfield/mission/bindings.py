@@ -12,6 +12,7 @@ from dataclasses import dataclass, field, replace
 import msgspec
 
 from lfield.driver.binding import SIMULATED, DeviceBinding
+from lfield.driver.frame import Origin, Placement, Pose, Vector
 from lfield.driver.known import Drivers, KnownDriver
 from lfield.errors import BindingError
 from lfield.guard.core import SILENCE
@@ -33,6 +34,9 @@ MOST_MEMBERS = 9
 
 #: What a binding states of an attribute.
 Stated = float | int | bool | str | tuple[str, ...]
+
+#: Metres: how far from the team's origin anybody may be, and how high or low an origin or a place.
+FARTHEST, HIGHEST, LOWEST = 1e6, 1e5, -1e4
 
 #: Agent id -> field name -> device type: what a mission needs. Every agent is a key, also without devices.
 Needed = Mapping[str, Mapping[str, str]]
@@ -66,6 +70,35 @@ class Recovery:
 
 
 @dataclass(frozen=True, slots=True)
+class Frames:
+    """The team's frame: its `origin` on the Earth, and the poses in it of hosts and of agents.
+
+    An agent has its own, else its host's. `everybody` are all agents in the order of the deployment.
+    """
+
+    origin: Origin | None = None
+    hosts: Mapping[str, Pose] = field(default_factory=dict)
+    agents: Mapping[str, Pose] = field(default_factory=dict)
+    everybody: tuple[str, ...] = ()
+
+    def __bool__(self) -> bool:
+        """Whether the team has a frame at all."""
+        return self.origin is not None or bool(self.hosts or self.agents)
+
+    def place(self, host: str) -> Vector | None:
+        """Where a host is, None where nobody has said."""
+        pose = self.hosts.get(host)
+        return None if pose is None else (pose.north, pose.east, pose.down)
+
+    def of(self, agent: str) -> Placement | None:
+        """What is said of where an agent is; None for nothing."""
+        pose = self.agents.get(agent)
+        if self.origin is None and pose is None:
+            return None
+        return Placement(self.origin, pose, self.everybody.index(agent) if agent in self.everybody else 0)
+
+
+@dataclass(frozen=True, slots=True)
 class Bindings:
     """Limits of agents, and devices by agent and field; times are in seconds.
 
@@ -79,6 +112,7 @@ class Bindings:
     silence: float = SILENCE
     recovery: Recovery = field(default_factory=Recovery)
     attributes: Mapping[str, Mapping[str, Stated]] = field(default_factory=dict)
+    frames: Frames = field(default_factory=Frames)
 
     def limits(self, agent: str) -> Limits:
         """The limits of an agent: its own, then the defaults of the file, then the machine's."""
@@ -137,13 +171,14 @@ def on_fakes(
     what kind of device a fake shall be. Raises BindingError for devices that must be bound even so.
     """
     lacking = _lacking(bindings, needed, drivers, resources or {})
+    lacking += nowhere(bindings, needed, drivers)
     if lacking:
         raise BindingError(lacking)
     simulated: dict[str, dict[str, DeviceBinding]] = {agent: {} for agent in needed}
     for agent, name, device_type in each_needed(needed):
         bound = bindings.devices.get(agent, {}).get(name)
         simulated[agent][name] = (
-            _faked(bound) if bound else _fake(agent, name, device_type, drivers, resources or {})
+            _faked(bound) if bound else _fake(bindings, agent, name, device_type, drivers, resources or {})
         )
     return replace(bindings, devices=simulated, silence=min(SIM_SILENCE, bindings.recovery.lease))
 
@@ -155,7 +190,7 @@ def chosen_fakes(
     devices: dict[str, list[str]] = {}
     for agent, name, device_type in each_needed(needed):
         driver, bound = maker_of(drivers, device_type), bindings.devices.get(agent, {}).get(name)
-        if driver is not None and bound == _fake(agent, name, device_type, drivers, resources):
+        if driver is not None and bound == _fake(bindings, agent, name, device_type, drivers, resources):
             words = driver.manifests[device_type].fake_words(resources.get(agent, ""))
             devices.setdefault(words, []).append(f"{agent}.{name}")
     return [
@@ -190,8 +225,34 @@ def _lacking(bindings: Bindings, needed: Needed, drivers: Drivers, resources: Ma
     return problems
 
 
+def nowhere(bindings: Bindings, needed: Needed, drivers: Drivers) -> list[str]:
+    """The devices that have places, of which nobody could tell where in the team's frame; a sentence each.
+
+    They would be about a place of their own, and be compared with the others'.
+    """
+    problems = []
+    for agent, name, device_type in each_needed(needed) if bindings.frames else ():
+        driver, placed = maker_of(drivers, device_type), bindings.frames.of(agent)
+        manifest = None if driver is None else driver.manifests[device_type]
+        if manifest is None or not manifest.has_places or (placed is not None and placed.pose is not None):
+            continue
+        if placed is None or not manifest.geographic:
+            lacks = "" if placed is None else ", since it does not find itself on the Earth"
+            origin = ", or the team an origin" if manifest.geographic else ""
+            problems.append(
+                f"{agent}.{name} ({device_type}) tells places, and nothing says where they are in the team's "
+                f"frame{lacks}: give {agent} or its host a 'frame' in the devices file{origin}"
+            )
+    return problems
+
+
 def _fake(
-    agent: str, name: str, device_type: str, drivers: Drivers, resources: Mapping[str, str]
+    bindings: Bindings,
+    agent: str,
+    name: str,
+    device_type: str,
+    drivers: Drivers,
+    resources: Mapping[str, str],
 ) -> DeviceBinding:
     """A device that nobody has bound, on a fake of its own: there is nothing that could be hurt."""
     driver = maker_of(drivers, device_type)
@@ -206,6 +267,7 @@ def _fake(
         safe_state=manifest.default_safe_state,
         options=manifest.fake_options(resources.get(agent, "")),
         waivers=[waiver for waiver, _ in manifest.waivers],
+        frame=bindings.frames.of(agent),
     )
 
 

@@ -19,6 +19,8 @@ agents:
         sim: ["battery=0.5"]               # of its fake, with --sim: see `lfield sim fault`
 defaults: {heap: 1 MiB, call_depth: 500}   # limits of every agent
 unreachable_after: 10                      # seconds until UnreachableResourceException
+frame: {origin: {latitude: 47.3977, longitude: 8.5456, altitude: 488.0}}  # the team's place on the Earth
+hosts: {hall: {frame: {north: 12.0, east: 4.0}}}   # where its agents are in the team's frame
 silence: 0.2                               # seconds without the host before its devices go safe (fakes: 2)
 recovery: {lease: 2, members: [a, b, c]}   # of coordinators that call heartbeatInterval: who
                                            # decides that one is lost, and the seconds it may run unheard
@@ -38,8 +40,8 @@ from pathlib import Path
 from lfield.capability.model import Attribute
 from lfield.capability.reading.draft import Draft
 from lfield.capability.reading.values import read_values
-from lfield.driver.binding import LEAST_AFTER, DeviceBinding, OptionValue, WithoutPolicy
-from lfield.driver.contract import Manifest, Option
+from lfield.driver.binding import DeviceBinding
+from lfield.driver.frame import Pose
 from lfield.driver.known import Drivers
 from lfield.errors import BindingError
 from lfield.guard.core import SILENCE
@@ -51,14 +53,18 @@ from lfield.mission.bindings import (
     SHORTEST_LEASE,
     USUAL_LEASE,
     Bindings,
+    Frames,
     Needed,
     Recovery,
     Stated,
     each_needed,
     maker_of,
+    nowhere,
     on_fakes,
     undoubled,
 )
+from lfield.mission.reading.devices import DevicesReader
+from lfield.mission.reading.frames import frames_of, read_hosts, read_origin, read_pose
 from lfield.text.source import Diagnostics
 from lfield.text.suggest import did_you_mean
 from lfield.text.yaml_fields import Fields
@@ -78,22 +84,30 @@ def read_bindings(
     resources: dict[str, str] | None = None,
     hosts: Collection[str] | None = None,
     attributes: Callable[[], Mapping[str, Attribute]] | None = None,
+    homes: Mapping[str, str] | None = None,
     doubled: Collection[str] = (),
 ) -> Bindings:
     """The bindings in a file (None: there is no file), checked against what the mission needs.
 
     With `simulate`, needed devices that are not bound get what is usual for their agent's resource type (of
-    `resources`), and every endpoint is SIMULATED. `hosts` are those of the team, None where it is not known;
-    `attributes` gives those of the registry, None where nobody asks for them. Of `doubled` agents only the
-    limits are read, and what is stated. Raises BindingError with all problems, InputFileError when the file
-    cannot be read.
+    `resources`), and every endpoint is SIMULATED. `hosts` are those of the team, None where it is not known,
+    `homes` those of its agents; `attributes` gives those of the registry, None where nobody asks for them. Of
+    `doubled` agents only the limits and the pose are read, and what is stated. Raises BindingError with all
+    problems, InputFileError when the file cannot be read.
     """
     found = Diagnostics()
     node = read(str(path), found) if path is not None else None
     bindings = Bindings()
     if path is not None and node is not None:
         reader = BindingsReader(
-            needed, drivers, found, path.parent, simulate=simulate, hosts=hosts, doubled=doubled
+            needed,
+            drivers,
+            found,
+            path.parent,
+            simulate=simulate,
+            hosts=hosts,
+            homes=homes,
+            doubled=doubled,
         )
         reader.attributes = attributes
         bindings = reader.bindings(node)
@@ -102,10 +116,42 @@ def read_bindings(
     problems += _without_driver(needed, drivers)
     # What is written wrong is not missing: the file's own errors are told first, and alone.
     if not simulate and not found.errors:
-        problems += _unbound(bindings, needed, drivers, path)
+        problems += _unbound(bindings, needed, drivers, path) or nowhere(bindings, needed, drivers)
     if problems:
         raise BindingError(problems, found.errors)
     return on_fakes(bindings, needed, drivers, resources) if simulate else bindings
+
+
+def read_frames(path: Path | None, homes: Mapping[str, str]) -> Frames:
+    """Only where a team is by a devices file (None: there is no file); `homes` are the hosts of its agents.
+
+    Raises as `read_bindings`, for what is wrong of that.
+    """
+    found = Diagnostics()
+    node = read(str(path), found) if path is not None else None
+    frames = Frames()
+    if node is not None:
+        top = Fields(node, found, "a devices file")
+        frames = _frames(top, list(top.section("agents").entries()), homes, None, tuple(homes))
+    if found.errors:
+        raise BindingError([diagnostic.render() for diagnostic in found.errors], found.errors)
+    return frames
+
+
+def _frames(
+    top: Fields,
+    agents: Sequence[tuple[Entry, Fields]],
+    homes: Mapping[str, str],
+    hosts: Collection[str] | None,
+    everybody: tuple[str, ...],
+) -> Frames:
+    """Where the team, its hosts and its agents are."""
+    origin, poses = read_origin(top), read_hosts(top, hosts)
+    own: dict[str, Pose] = {}
+    for entry, fields in agents:
+        if (pose := read_pose(fields)) is not None:
+            own[entry.key] = pose
+    return frames_of(origin, poses, own, homes, everybody)
 
 
 def _without_driver(needed: Needed, drivers: Drivers) -> list[str]:
@@ -140,11 +186,12 @@ class BindingsReader:
         *,
         simulate: bool,
         hosts: Collection[str] | None = None,
+        homes: Mapping[str, str] | None = None,
         doubled: Collection[str] = (),
     ) -> None:
-        self._doubled = doubled
-        self._needed, self._drivers, self._found = needed, drivers, found
-        self._folder, self._simulate, self._hosts = folder, simulate, hosts
+        self._needed, self._found, self._doubled = needed, found, doubled
+        self._hosts, self._homes = hosts, homes or {}
+        self._devices = DevicesReader(drivers, folder, simulate=simulate)
         #: The attributes of the registry, None where nobody asks for them.
         self.attributes: Callable[[], Mapping[str, Attribute]] | None = None
 
@@ -157,24 +204,28 @@ class BindingsReader:
         unreachable_after = top.number("unreachable_after", 10.0, minimum=0.1, maximum=86400.0)
         silence = top.number("silence", SILENCE, minimum=0.1, maximum=10.0)
         recovery = self._recovery(top.section("recovery"), silence)
+        entries = list(top.section("agents").entries())
+        # Before the devices, which have to know.
+        frames = _frames(top, entries, self._homes, self._hosts, tuple(self._needed))
         agents: dict[str, Limits] = {}
         devices: dict[str, dict[str, DeviceBinding]] = {}
         stated: dict[str, dict[str, Stated]] = {}
-        for entry, fields in top.section("agents").entries():
+        for entry, fields in entries:
             if entry.key not in self._needed:
                 hint = f"its agents: {', '.join(sorted(self._needed)) or 'none'}"
                 fields.report("Y113", f"the deployment has no agent '{entry.key}'", entry.key_span, hint)
                 continue
             agents[entry.key] = self._limits(fields, defaults)
-            if entry.key in self._doubled:
+            agent, placement = entry.key, frames.of(entry.key)
+            if agent in self._doubled:
                 fields.node("devices")
             else:
-                devices[entry.key] = dict(self._devices(entry.key, fields))
+                devices[agent] = self._devices.devices(agent, fields, self._needed[agent], placement)
             if values := self._stated(fields):
-                stated[entry.key] = values
+                stated[agent] = values
             fields.done()
         top.done()
-        return Bindings(agents, devices, defaults, unreachable_after, silence, recovery, stated)
+        return Bindings(agents, devices, defaults, unreachable_after, silence, recovery, stated, frames)
 
     def _stated(self, fields: Fields) -> dict[str, Stated]:
         """What is stated of an agent, in the units of the registry."""
@@ -236,139 +287,7 @@ class BindingsReader:
             return default
         return size
 
-    def _devices(self, agent: str, fields: Fields) -> list[tuple[str, DeviceBinding]]:
-        bound = []
-        for entry, device in fields.section("devices").entries():
-            binding = self._device(agent, entry, device)
-            if binding is not None:
-                bound.append((entry.key, binding))
-        return bound
-
-    def _device(self, agent: str, entry: Entry, fields: Fields) -> DeviceBinding | None:
-        """One device; None when it cannot be told what it is."""
-        needed = self._needed[agent]
-        if entry.key not in needed:
-            hint = f"its devices: {', '.join(sorted(needed)) or 'none'}"
-            fields.report("Y113", f"{agent} has no device '{entry.key}'", entry.key_span, hint)
-            return None
-        name = fields.text("driver", required=True)
-        driver = self._drivers.by_driver.get(name)
-        if driver is None:
-            if name:
-                hint = f"installed: {', '.join(sorted(self._drivers.by_driver)) or 'none'}"
-                fields.report("Y113", f"there is no driver '{name}'", fields.value_span("driver"), hint)
-            return None
-        manifest = driver.manifests.get(needed[entry.key])
-        if manifest is None:
-            makes = " or ".join(sorted(driver.manifests))
-            message = f"driver '{name}' makes a {makes}, and {entry.key} is a {needed[entry.key]}"
-            fields.report("Y113", message, fields.value_span("driver"))
-            return None
-        fields.text("type", choices=(manifest.device.type,))
-        binding = DeviceBinding(
-            agent=agent,
-            field=entry.key,
-            type=manifest.device.type,
-            driver=name,
-            endpoint=fields.text("endpoint", required=not self._simulate),
-            ttl=fields.number("ttl", 0.5, minimum=0.02, maximum=60.0),
-            rest_within=fields.number("rest_within", 120.0, minimum=1.0, maximum=3600.0),
-            safe_state=_safe_state(fields, manifest),
-            without_policy=_without_policy(fields, manifest),
-            limits=self._device_limits(fields, manifest),
-            options=self._options(fields, manifest),
-            waivers=self._waivers(fields, manifest),
-            sim=list(fields.texts("sim")),
-        )
-        fields.done()
-        return binding
-
-    def _waivers(self, fields: Fields, manifest: Manifest) -> list[str]:
-        known = [name for name, _ in manifest.waivers]
-        waivers = fields.texts("waivers")
-        for waiver in waivers:
-            if waiver not in known:
-                hint = f"waivers of a {manifest.device.type}: {', '.join(known)}"
-                message = f"there is nothing called '{waiver}' to waive"
-                fields.report("Y113", message, fields.value_span("waivers"), hint)
-        return list(waivers)
-
-    def _device_limits(self, fields: Fields, manifest: Manifest) -> dict[str, float]:
-        section = fields.section("limits")
-        limits = {
-            limit.name: section.number(limit.name, minimum=0.0)
-            for limit in manifest.limits
-            if limit.name in section
-        }
-        section.done()
-        return limits
-
-    def _options(self, fields: Fields, manifest: Manifest) -> dict[str, OptionValue]:
-        options: dict[str, OptionValue] = {}
-        for option in manifest.options:
-            value = self._option(fields, option)
-            if value is not None:
-                options[option.name] = value
-        return options
-
-    def _path(self, fields: Fields, key: str) -> str:
-        """A file as seen from the folder of the devices file."""
-        text = fields.text(key)
-        path = self._folder / text
-        if text and not path.is_file():
-            fields.report("Y113", f"there is no file {path}", fields.value_span(key))
-        return str(path.resolve()) if text else ""
-
-    def _option(self, fields: Fields, option: Option) -> OptionValue | None:
-        required = option.default is None
-        if option.name not in fields:
-            fields.node(option.name, required=required)
-            return option.default
-        if option.type == "boolean":
-            return fields.flag(option.name)
-        if option.type == "string":
-            return fields.text(option.name, choices=option.choices)
-        if option.type == "path":
-            return self._path(fields, option.name)
-        if option.type == "int[]":
-            return list(fields.integers(option.name))
-        if option.type == "string[]":
-            return list(fields.texts(option.name))
-        if option.type == "real":
-            return fields.number(option.name, minimum=option.minimum, maximum=option.maximum)
-        lowest, highest = max(option.minimum, -(2.0**63)), min(option.maximum, 2.0**62)
-        return fields.integer(option.name, minimum=int(lowest), maximum=int(highest))
-
 
 def _is_empty(node: Node | None) -> bool:
     """Whether there is a key with nothing behind it."""
     return isinstance(node, Scalar) and node.value is None
-
-
-def _without_policy(fields: Fields, manifest: Manifest) -> WithoutPolicy | None:
-    """None where the key is absent; both of its keys must be given."""
-    if "without_policy" not in fields:
-        return None
-    states = manifest.device.safe_states
-    if not states:
-        message = f"a {manifest.device.type} only senses: nobody has to bring it into a safe state"
-        fields.report("Y113", message, fields.value_span("without_policy"), "leave the key out")
-        fields.node("without_policy")
-        return None
-    section = fields.section("without_policy")
-    after = section.number("after", 30.0, required=True, minimum=LEAST_AFTER, maximum=86400.0)
-    do = section.text("do", required=True, choices=states)
-    section.done()
-    return WithoutPolicy(after, do)
-
-
-def _safe_state(fields: Fields, manifest: Manifest) -> str:
-    """One of those of the manifest; '' for a pure sensor, which has none."""
-    states = manifest.device.safe_states
-    if states:
-        return fields.text("safe_state", states[0], choices=states)
-    if "safe_state" in fields:
-        message = f"a {manifest.device.type} only senses: it has no safe state"
-        fields.report("Y113", message, fields.value_span("safe_state"), "leave the key out")
-        fields.text("safe_state")
-    return ""

@@ -6,11 +6,15 @@ import math
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 
 from lfield.driver.binding import LEAST_AFTER, DeviceBinding
+from lfield.driver.frame import Pose
 from lfield.driver.known import KnownDrivers
 from lfield.errors import BundleError
 from lfield.manifest import LEAVE, NEVER, DeviceManifest, Instruction
 from lfield.mission.bindings import (
+    FARTHEST,
+    HIGHEST,
     LONGEST_LEASE,
+    LOWEST,
     MAX_HEAP,
     MIN_HEAP,
     MOST_MEMBERS,
@@ -58,6 +62,7 @@ def check_bindings(bindings: Bindings, needed: Needed, drivers: KnownDrivers, ho
         *_devices(bindings, needed, drivers),
         *_limits(bindings),
         *_recovery(bindings.recovery, hosts),
+        *_frames(bindings),
     )
     for problem in problems:
         raise BundleError(problem)
@@ -69,6 +74,25 @@ def _recovery(recovery: Recovery, hosts: Collection[str]) -> Iterator[str]:
     members = set(recovery.members)
     if not (members <= set(hosts) and len(members) == len(recovery.members) <= MOST_MEMBERS):
         yield "the members of its recovery are no hosts of its team, or too many"
+
+
+def _frames(bindings: Bindings) -> Iterator[str]:
+    frames = bindings.frames
+    poses = (*frames.hosts.values(), *frames.agents.values())
+    if not all(map(_is_pose, poses)):
+        yield "the pose of a host or agent makes no sense"
+    at = frames.origin
+    if at and not (
+        abs(at.latitude) <= 90.0 and abs(at.longitude) <= 180.0 and LOWEST <= at.altitude <= HIGHEST
+    ):
+        yield "the origin of its frame is no place on the Earth"
+    if any(device.frame != frames.of(device.agent) for device in bindings.all):
+        yield "a device is elsewhere in the team's frame than its agent"
+
+
+def _is_pose(pose: Pose) -> bool:
+    near = abs(pose.north) <= FARTHEST and abs(pose.east) <= FARTHEST
+    return near and abs(pose.down) <= HIGHEST and abs(pose.heading) <= math.tau
 
 
 def _devices(bindings: Bindings, needed: Needed, drivers: KnownDrivers) -> Iterator[str]:

@@ -69,26 +69,35 @@ def load_mission(
         resources=team.types,
         hosts=team.hosts,
         attributes=lambda: types.registry.attributes,
+        homes=team.homes,
         doubled=doubled,
     )
     drivers = makers_of(plugins, {device.type for device in bindings.all})
     registry = _settled(types.registry, loaded, plugins, hollow) if ways(loaded) else None
     chosen = chosen_fakes(bindings, undoubled(needed, doubled), plugins, team.types) if simulate else []
-    chosen += _stated_twice(bindings, registry)
     mission = _decided(Mission(deploy.stem, loaded, team, bindings, drivers, registry), deployment)
+    chosen += _stated_twice(mission)
     warnings += _doubts(deployment, mission)
     mission = replace(mission, warnings=(*(warning.render() for warning in warnings), *chosen))
     return mission.at(team.at(parse_maps(maps, team))) if maps else mission
 
 
-def _stated_twice(bindings: Bindings, registry: Registry | None) -> list[str]:
-    """What both the devices file and the mission's registry state of an agent, a line each."""
+def _stated_twice(mission: Mission) -> list[str]:
+    """What the devices file states of an agent and the mission's registry or its frame, too, a line each."""
+    own, placed = mission.registry, mission.stated
+    if own is None or placed is None:
+        return []
     return [
-        f"{name} of {agent} is stated in the devices file and in the mission's registry, which counts"
-        for agent, values in bindings.attributes.items()
+        f"{name} of {agent} is stated in the devices file and {_where(own, agent, name)}, which counts"
+        for agent, values in mission.bindings.attributes.items()
         for name in values
-        if registry is not None and name in registry.agents.get(agent, {})
+        if name in placed.agents.get(agent, {})
     ]
+
+
+def _where(own: Registry, agent: str, name: str) -> str:
+    """What else states an attribute of an agent."""
+    return "in the mission's registry" if name in own.agents.get(agent, {}) else "by its frame there"
 
 
 def _doubts(deployment: Deployment, mission: Mission) -> list[Diagnostic]:
@@ -142,6 +151,7 @@ def rebound(mission: Mission, devices: Path, *, simulate: bool = False) -> Missi
         resources=mission.team.types,
         hosts=mission.team.hosts,
         attributes=(lambda: known.attributes) if (known := mission.registry) is not None else None,
+        homes=mission.team.homes,
     )
     return _decided(mission.with_bindings(bindings))
 

@@ -5,17 +5,20 @@ On the desk `load` makes it of files; a robot reads it from a bundle. Nothing he
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 from typing import Literal
 
 from lfield.bytecode.acting import fenced_classes
 from lfield.bytecode.program import Program
-from lfield.capability.model import Registry
+from lfield.capability.model import Registry, Value
 from lfield.driver.binding import SIMULATED, DeviceBinding
 from lfield.driver.known import Drivers, KnownDrivers
-from lfield.mission.bindings import Bindings, Needed, Recovery, chosen_fakes, on_fakes
+from lfield.mission.bindings import Bindings, Frames, Needed, Recovery, chosen_fakes, on_fakes
 from lfield.mission.team import Team
+
+#: The attributes that say where an agent is in the team's frame.
+PLACE = frozenset({"north", "east", "down"})
 
 #: What the devices of a team are. A team that has none is neither.
 World = Literal["", "fakes", "hardware"]
@@ -36,6 +39,11 @@ class Mission:
     drivers: Drivers
     registry: Registry | None = None
     warnings: tuple[str, ...] = ()
+
+    @property
+    def stated(self) -> Registry | None:
+        """The registry with what bindings state of agents: where those are whose devices do not tell it."""
+        return None if self.registry is None else placed(self.registry, self.team.types, self.bindings.frames)
 
     @property
     def max_block(self) -> int:
@@ -88,6 +96,21 @@ class Mission:
     def with_bindings(self, bindings: Bindings) -> Mission:
         """The same mission with other bindings."""
         return replace(self, bindings=bindings)
+
+
+def placed(registry: Registry, types: Mapping[str, str], frames: Frames) -> Registry:
+    """A registry in which agents of these `types` are where their poses say.
+
+    What has telemetry of its place tells that; what the registry states of an agent counts before its pose.
+    """
+    agents = dict(registry.agents)
+    for agent, pose in frames.agents.items():
+        provider = registry.providers.get(types.get(agent, ""))
+        if provider is None or not PLACE.isdisjoint(provider.live):
+            continue
+        where: dict[str, Value] = {"north": pose.north, "east": pose.east, "down": pose.down}
+        agents[agent] = {**where, **registry.agents.get(agent, {})}
+    return replace(registry, agents=agents)
 
 
 def needed_devices(program: Program, team: Team) -> dict[str, dict[str, str]]:

@@ -55,6 +55,11 @@ class Team:
         return {member.id: member.type for member in self.members}
 
     @property
+    def homes(self) -> dict[str, str]:
+        """The hosts of all agents, by their ids."""
+        return {member.id: self.hosts[member.host] for member in self.members}
+
+    @property
     def coordinators(self) -> list[Member]:
         """All coordinators."""
         return [m for m in self.members if m.kind == "coordinator"]

@@ -71,6 +71,7 @@ class Greeting:
         self._check_devices(message)
         self._check_memory(message)
         self._check_recovery(message)
+        self._check_origin(message)
         self.peer = message
         return message
 
@@ -153,6 +154,15 @@ class Greeting:
             self._refuse(
                 f"{self.own.host} recovers coordinators by {ours} and {hello.host} by {theirs}; give both "
                 "the same 'recovery' in their devices files"
+            )
+
+    def _check_origin(self, hello: Hello) -> None:
+        """Whoever is sent to a place of another origin goes elsewhere."""
+        if "observer" not in (self.own.role, hello.role) and self.own.origin != hello.origin:
+            ours, theirs = (f"from {o}" if o else "from each home" for o in (self.own.origin, hello.origin))
+            self._refuse(
+                f"{self.own.host} counts places {ours} and {hello.host} {theirs}; give both the same "
+                "'frame: {origin: ...}' in their devices files"
             )
 
     def _refuse(self, reason: str) -> NoReturn:

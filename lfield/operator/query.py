@@ -17,9 +17,10 @@ from lfield.capability.types.generate import all_ways
 from lfield.driver.plugins import discover
 from lfield.errors import BindingError, InputFileError, LfieldError, ProgramError, UsageError
 from lfield.mission import bundle
-from lfield.mission.bindings import Stated
-from lfield.mission.load import CAPABILITIES, beside, load_mission
-from lfield.mission.mission import Mission
+from lfield.mission.bindings import Frames, Stated
+from lfield.mission.bindings_file import read_frames
+from lfield.mission.load import CAPABILITIES, DEVICES, beside, load_mission
+from lfield.mission.mission import Mission, placed
 from lfield.mission.team import Team
 from lfield.operator.ask import Answers
 from lfield.vm.offers import ways
@@ -32,15 +33,20 @@ Views = Mapping[str, Mapping[str, Told]]
 class Roster:
     """Agents by resource type, in the order of the deployment. Implements `offer.Team`.
 
-    Where is asked: where the first agent is whose host is the one that asks.
+    Where is asked: where the first agent is whose host is the one that asks, else at that host's `pose`.
     """
 
-    def __init__(self, candidates: Iterable[Candidate], attributes: Mapping[str, Attribute]) -> None:
+    def __init__(
+        self,
+        candidates: Iterable[Candidate],
+        attributes: Mapping[str, Attribute],
+        pose: Place | None = None,
+    ) -> None:
         self._by_type: dict[str, list[Candidate]] = {}
         found = list(candidates)
         for candidate in found:
             self._by_type.setdefault(candidate.type, []).append(candidate)
-        self._place = place_of((candidate for candidate in found if candidate.hops == 0), attributes)
+        self._place = place_of((candidate for candidate in found if candidate.hops == 0), attributes, pose)
 
     def here(self) -> Place | None:
         """Where the host is that asks."""
@@ -56,18 +62,21 @@ class Asked:
     """What is asked about: the registry as hosts have it, and what their bindings state of single agents.
 
     `ways` are those by which the program can have each primitive served; None where no program can be had.
+    `frames` say where hosts are; where agents are is in the registry.
     """
 
     registry: Registry
     ways: Mapping[str, Collection[str]] | None = None
     stated: Mapping[str, Mapping[str, Stated]] = field(default_factory=dict)
+    frames: Frames = field(default_factory=Frames)
 
 
 def read_asked(path: Path, team: Team, capabilities: Path | None = None) -> Asked:
     """The same as the hosts of a mission have it, from the same files.
 
-    Of a deployment that has mistakes elsewhere the registry alone, ours with `capabilities`, else the file
-    beside it. Raises ProgramError, InputFileError and BundleError, and UsageError for a bundle without one.
+    Of a deployment that has mistakes elsewhere the registry and where agents are, alone: ours with
+    `capabilities`, else the file beside it. Raises ProgramError, BindingError, InputFileError and
+    BundleError, and UsageError for a bundle without one.
     """
     mission: Mission | None = None
     if path.suffix != bundle.SUFFIX:
@@ -77,12 +86,14 @@ def read_asked(path: Path, team: Team, capabilities: Path | None = None) -> Aske
         mission = bundle.read(path)
         if mission.registry is None:
             raise UsageError(f"the program of {path} names no capability: ask its deployment (.dL) instead")
-    if mission is not None and mission.registry is not None:
-        ways = _open(mission.registry, mission.program)
-        return Asked(mission.registry, ways, mission.bindings.attributes)
+    if mission is not None and (registry := mission.stated) is not None:
+        bindings = mission.bindings
+        return Asked(registry, _open(registry, mission.program), bindings.attributes, bindings.frames)
     own = capabilities or beside(path, CAPABILITIES)
     agents = [agent.id for agent in team.deployed]
-    return Asked(read_registry(mission=own, agents=agents, libraries=discover().capabilities))
+    registry = read_registry(mission=own, agents=agents, libraries=discover().capabilities)
+    frames = Frames() if path.suffix == bundle.SUFFIX else read_frames(beside(path, DEVICES), team.homes)
+    return Asked(placed(registry, team.types, frames), frames=frames)
 
 
 def _open(registry: Registry, program: Program) -> dict[str, Collection[str]]:
@@ -96,11 +107,12 @@ def from_files(
     agents: Sequence[Deployed],
     at: str = "",
     stated: Mapping[str, Mapping[str, Stated]] = MappingProxyType({}),
+    pose: Place | None = None,
 ) -> Roster:
     """The agents as the files have them: what only devices could tell is not known.
 
-    `stated` is what their bindings say, `at` the host where the question is asked, for the count of hops; ''
-    is none of them.
+    `stated` is what their bindings say, `at` the host where the question is asked, for the count of hops, ''
+    for none of them, and `pose` where that host is.
     """
     found = (
         known.shown(
@@ -112,22 +124,27 @@ def from_files(
         )
         for known in known_agents(registry, agents).values()
     )
-    return Roster(found, registry.attributes)
+    return Roster(found, registry.attributes, pose)
 
 
 def from_hosts(
-    registry: Registry, agents: Sequence[Deployed], views: Views, silent: Collection[str], at: str = ""
+    registry: Registry,
+    agents: Sequence[Deployed],
+    views: Views,
+    silent: Collection[str],
+    at: str = "",
+    pose: Place | None = None,
 ) -> Roster:
     """The agents as the running hosts know them; the `silent` ones have not answered.
 
     Of each agent counts what the host `at` says, as it does when a program asks there; without one what its
-    own host says, else what any other does.
+    own host says, else what any other does. `pose` is where that host is by the devices file.
     """
     found = (
         _candidate(registry, known, at, _view(known.agent, views, silent, at))
         for known in known_agents(registry, agents).values()
     )
-    return Roster(found, registry.attributes)
+    return Roster(found, registry.attributes, pose)
 
 
 def views_of(answers: Answers[Status]) -> Views:

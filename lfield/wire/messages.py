@@ -45,7 +45,8 @@ class Hello(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
     observer (`lfield ps`) may leave them empty, and a program that names no capability has no registry.
     `devices` says what those of its team are, '' where it has none.
     `max_block` is the largest block this host takes, in bytes. `recovery` says in words who decides that a
-    coordinator is lost; '' where none is recovered.
+    coordinator is lost; '' where none is recovered. `origin` says in words where on the Earth its team counts
+    places from; '' where nowhere.
     """
 
     role: Role
@@ -59,6 +60,7 @@ class Hello(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
     devices: Literal["", "fakes", "hardware"] = ""
     memory: Count = 0
     recovery: Text = ""
+    origin: Text = ""
 
     @property
     def remembers(self) -> int:

@@ -136,7 +136,7 @@ def test_the_bindings_for_real_autopilots_differ_from_their_examples_in_places_o
     real, example = load_mission(deployment, devices=devices), load_mission(deployment)
 
     def without_places(mission: Mission) -> list[DeviceBinding]:
-        return [structs.replace(device, endpoint="", sim=[]) for device in mission.bindings.all]
+        return [structs.replace(device, endpoint="", frame=None, sim=[]) for device in mission.bindings.all]
 
     assert without_places(real) == without_places(example)
     assert {d.endpoint for d in real.bindings.all}.isdisjoint(d.endpoint for d in example.bindings.all)

@@ -21,11 +21,11 @@ def desk():
 def try_kit(desk, tmp_path):
     """Run the kit of a driver, or some of its checks, on devices of the desk, by name, one after the other.
 
-    Each is as a line of a devices file has it. `first` is called before the checks of each, `last` after
-    them. Findings by device and check.
+    Each is as a line of a devices file has it; `frame` is that of them all, `origin` the team's. `first`
+    is called before the checks of each, `last` after them. Findings by device and check.
     """
 
-    def run(driver, devices, *, only=(), first=lambda: None, last=lambda: None):
+    def run(driver, devices, *, only=(), frame="", origin="", first=lambda: None, last=lambda: None):
         plugins = discover()
         installed = plugins.by_driver[driver]
         checks = [check for check in checks_of(installed) if not only or check.name in only]
@@ -40,7 +40,9 @@ def try_kit(desk, tmp_path):
         checks = [step("first", first), *checks, step("last", last)]
         path = tmp_path / "kit.yaml"
         lines = [f"      {name}: {{driver: {driver}, {words}}}" for name, words in devices.items()]
-        path.write_text("\n".join(["agents:", "  kit:", "    devices:", *lines]))
+        whole = [f"frame: {{origin: {origin}}}"] if origin else []
+        agent = [f"    frame: {frame}"] if frame else []
+        path.write_text("\n".join([*whole, "agents:", "  kit:", *agent, "    devices:", *lines]))
         bound = devices_in_file(path, installed, plugins, "")
         found = desk.try_kit(*bound, checks=checks)
         return {(f.device.removeprefix("kit."), f.check): f for f in found}

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from lfield.driver import DeviceError
+from lfield.driver import DeviceError, Placement
 from lfield.simulate.time import run_jumping
 from lfield.testing.driver_bench import DriverBench, bind
 from lfield_mavlink import PLUGIN
@@ -69,6 +69,7 @@ class Bench(DriverBench):
         systems: tuple[int, ...] = (1,),
         links: int = 1,
         set_up: bool = True,
+        frame: Placement | None = None,
         **autopilot: Any,
     ) -> None:
         self.faults = make_faults(*faults, systems=systems)
@@ -93,6 +94,7 @@ class Bench(DriverBench):
                 PLUGIN, agent=f"a{system}", field="fc", safe_state=safe_state,
                 endpoint=", ".join(f"udp:127.0.0.1:{port}" for port in range(1, links + 1)), ttl=ttl,
                 limits=limits or {}, options={**given, "system": system}, waivers=list(waivers),
+                frame=frame,
             )
             for system in systems
         ]  # fmt: skip

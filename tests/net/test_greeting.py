@@ -95,6 +95,19 @@ def test_a_team_without_devices_and_an_observer_join_either(theirs):
     Greeting(observer).receive(hello(devices=theirs))
 
 
+def test_who_counts_places_from_elsewhere_is_refused():
+    ours, theirs = "47.3977420, 8.5455940 at 488.00 m", "47.0000000, 8.0000000 at 400.00 m"
+    for mine, yours in ((ours, theirs), (ours, ""), ("", theirs)):
+        machine = Greeting(hello("a", origin=mine), hosts=HOSTS)
+        with pytest.raises(GreetingError, match=r"give both the same 'frame: \{origin") as told:
+            machine.receive(hello(origin=yours))
+        assert f"a counts places from {mine or 'each home'} and b from {yours or 'each home'}" in str(
+            told.value
+        )
+    Greeting(hello("a", origin=ours), hosts=HOSTS).receive(hello(origin=ours))
+    Greeting(hello("a", origin=ours), hosts=HOSTS).receive(hello("ps", role="observer"))
+
+
 def test_two_majorities_of_different_members_need_not_meet():
     ours, theirs = "a lease of 2 s among a, b and c", "a lease of 2 s among a, b and d"
     for mine, yours in ((ours, theirs), (ours, ""), ("", theirs)):

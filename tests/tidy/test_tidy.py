@@ -29,7 +29,6 @@ SMALL = {
     "lfield/host/inits.py": "who waits for an init",
     "lfield/text/visible.py": "what may reach a terminal",
     "lfield/wire/fields.py": "types of fields, a table",
-    "drivers/lfield_mavlink/geo.py": "places and vectors, for all rooms of the driver",
     "lfield/capability/ways.py": "names that compiler and machine share",
     "lfield/clock.py": "a word that everybody speaks",
     "lfield/devices/measuring.py": "what is done for lateness to decide",

@@ -11,9 +11,9 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from lfield_mavlink.geo import Place, Vector
+from lfield_mavlink.geo import EARTH_RADIUS, Place, Vector
 from lfield_mavlink.link.dialect import dialect
-from lfield_mavlink.modes import PROFILES, PX4, Profile
+from lfield_mavlink.modes import PROFILES, PX4, RADII, Profile
 
 #: Which quantities of the manifest each message brings. The autopilot is asked for the message at the
 #: highest rate that the manifest names for one of them. ArduPilot's heartbeat is wanted faster than its 1 Hz,
@@ -31,6 +31,10 @@ SOURCES: Mapping[int, tuple[str, ...]] = {
     dialect.MAVLINK_MSG_ID_SYS_STATUS: ("battery", "batteryVoltage", "batteryCurrent"),
 }
 
+#: Seconds by which its clock went back when it was restarted; less may be a packet that was overtaken.
+OVERTAKEN = 1.0
+#: Seconds for which a position is told again when home has moved.
+FRESH = 0.5
 #: Characters of one message; a longer text comes in chunks with one id.
 CHUNK = 50
 #: Unfinished texts that are kept; a lost chunk must not cost memory for ever.
@@ -73,6 +77,9 @@ class VehicleState:
     which is where it first knew its place, while home moves to where it was armed last. PX4's also moves in
     the air, up and down with what its satellites say: there it stays what it was when it took off. A rover
     takes its home before it knows a height, so its height about home is that about the origin.
+
+    The origin stays where it is until the autopilot restarts. Then it is not known until it is told anew,
+    also where home and positions are told before it (ArduRover's are, 11 s before).
     """
 
     def __init__(self, kind: str) -> None:
@@ -104,14 +111,35 @@ class VehicleState:
         self._relative_altitude: float | None = None
         self._local: Vector | None = None
         self._origin: Place | None = None
+        # The first origin that it told, and whether the last one is of before a restart.
+        self._first_origin: Place | None = None
+        self._restarted = False
+        self._told_at = 0
         self._local_home: Vector | None = None
+
+    @property
+    def radius(self) -> float:
+        """Of the sphere on which its autopilot counts metres, in metres."""
+        return RADII.get(self.autopilot, EARTH_RADIUS)
+
+    @property
+    def origin(self) -> Place | None:
+        """Where the origin of its local frame is on the Earth, None as long as it has not told that."""
+        return None if self._restarted else self._origin
+
+    @property
+    def origin_moved(self) -> Vector | None:
+        """How far its origin is from the first that it told; None after a restart until that is known."""
+        if self._first_origin is None:
+            return (0.0, 0.0, 0.0)
+        return None if self.origin is None else self._first_origin.to(self.origin, self.radius)
 
     @property
     def home_offset(self) -> Vector:
         """Home in the autopilot's local frame."""
         # The origin first: older ArduPilots leave what HOME_POSITION says of the local frame at 0.
-        if self.home is not None and self._origin is not None:
-            north, east, down = self._origin.to(self.home)
+        if self.home is not None and (origin := self.origin) is not None:
+            north, east, down = origin.to(self.home, self.radius)
         else:
             north, east, down = self._local_home or (0.0, 0.0, 0.0)
         return (north, east, 0.0 if self.kind == "rover" else down)
@@ -142,7 +170,7 @@ class VehicleState:
     @property
     def knows_frames(self) -> bool:
         """Whether it is known where home is in the local frame, so that positions are about home."""
-        return self.home is not None and (self._origin is not None or self._local_home is not None)
+        return self.home is not None and (self.origin is not None or self._local_home is not None)
 
     def enters(self, mode: str) -> None:
         """It has acknowledged truly that it is in this mode, before a heartbeat tells.
@@ -189,14 +217,16 @@ class VehicleState:
         numbers = (message.x, message.y, message.z, message.vx, message.vy, message.vz)
         if not all(map(math.isfinite, numbers)):
             return {}
+        self._look_at_clock(message.time_boot_ms)
         self._local, self.velocity, self.placed_at = numbers[:3], numbers[3:], now
         self.speeds, self.speeds_at = (math.hypot(message.vx, message.vy), -message.vz), now
         position = self.position
         assert position is not None
-        return {"position": list(position), "velocity": list(numbers[3:]), "altitude": -position[2]}
+        return {**_placed(position), "velocity": list(numbers[3:])}
 
     def _on_global_position(self, message: Any, _: float) -> Values:
         place = Place.scaled(message.lat, message.lon, message.alt)
+        self._look_at_clock(message.time_boot_ms)
         self._relative_altitude = message.relative_alt / 1000.0
         return {"globalPosition": [place.latitude, place.longitude, place.altitude]} if place else {}
 
@@ -204,8 +234,16 @@ class VehicleState:
         angles = (message.roll, message.pitch, message.yaw)
         if not all(map(math.isfinite, (*angles, message.yawspeed))):
             return {}
+        self._look_at_clock(message.time_boot_ms)
         self.yaw, self.booted = message.yaw, message.time_boot_ms
         return {"attitude": list(angles), "heading": message.yaw % math.tau, "yawRate": message.yawspeed}
+
+    def _look_at_clock(self, booted: int) -> None:
+        """Milliseconds since it was switched on; when that was anew, its frames are not what they were."""
+        if booted < self._told_at - 1000.0 * OVERTAKEN:
+            self._restarted = True
+            self._local = self._local_home = self.home = None
+        self._told_at = booted
 
     def _on_vfr_hud(self, message: Any, now: float) -> Values:
         if not (math.isfinite(message.groundspeed) and math.isfinite(message.climb)):
@@ -244,7 +282,7 @@ class VehicleState:
             self.landed = message.landed_state == dialect.MAV_LANDED_STATE_ON_GROUND
         return {"landed": self.landed}
 
-    def _on_home(self, message: Any, _: float) -> Values:
+    def _on_home(self, message: Any, now: float) -> Values:
         flies_on = self.autopilot == PX4 and self.landed is False and self.knows_frames
         home = Place.scaled(message.latitude, message.longitude, message.altitude)
         if home is None or flies_on:
@@ -252,12 +290,20 @@ class VehicleState:
         self.home = home
         local = (message.x, message.y, message.z)
         self._local_home = local if all(map(math.isfinite, local)) else None
-        return {}
+        # Where it is about its new home is known at once, and wanted by who has it armed and asks then.
+        position = self.position
+        return {} if position is None or now > self.placed_at + FRESH else _placed(position)
 
     def _on_origin(self, message: Any, _: float) -> Values:
         origin = Place.scaled(message.latitude, message.longitude, message.altitude)
-        self._origin = origin or self._origin
+        if origin is not None:
+            self._origin, self._restarted = origin, False
+            self._first_origin = self._first_origin or origin
         return {}
+
+
+def _placed(position: Vector) -> Values:
+    return {"position": list(position), "altitude": -position[2]}
 
 
 _HANDLERS: Mapping[int, Callable[[VehicleState, Any, float], Values]] = {

@@ -104,7 +104,10 @@ class Streams:
         self._asked, self._refused = {}, set()
         await asyncio.gather(*(self._ask_for(kind) for kind in self._wanted()))
         await self._ask_for_origin()
-        if not await vehicle.seen(lambda: vehicle.state.knows_frames, TELLS):
+        await vehicle.seen(lambda: vehicle.state.knows_frames and not self._lacks_origin, TELLS)
+        if self._lacks_origin:
+            vehicle.note("it has not told where its frame begins: it has no place in the team's frame yet")
+        elif not vehicle.state.knows_frames:
             vehicle.note(
                 "it does not tell where home is; positions are of the place where it was switched on"
             )
@@ -130,7 +133,7 @@ class Streams:
                 continue
             for kind in self._stale():
                 await self._ask_for(kind)
-            if not self._vehicle.state.knows_frames:
+            if self._lacks_origin or not self._vehicle.state.knows_frames:
                 await self._ask_for_origin()
 
     def _stale(self) -> list[int]:
@@ -142,6 +145,16 @@ class Streams:
             if kind not in self._refused and now - max(at, self._last.get(kind, at)) > pause:
                 stale.append(kind)
         return stale
+
+    @property
+    def _lacks_origin(self) -> bool:
+        """Whether its place in the team's frame hangs on where its own begins, and it has not told that."""
+        placed, state = self._vehicle.binding.frame, self._vehicle.state
+        return (
+            placed is not None
+            and state.origin is None
+            and (placed.pose is None or state.origin_moved is None)
+        )
 
     async def _ask_for_origin(self) -> None:
         """Where the estimator's frame is; ArduPilot tells it unasked only once, when it has found it."""

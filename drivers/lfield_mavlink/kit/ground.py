@@ -34,12 +34,13 @@ async def stands(bench: Bench) -> str:
 
 @GROUND.check("where it is", moves=False)
 async def place(bench: Bench) -> str:
-    """Position about home and on the map, and how well it knows them."""
+    """Position about home or in the team's frame, and on the map, and how well it knows them."""
     await bench.until(lambda: bench.query("gpsFix") >= 3, 30.0, "a three-dimensional fix")
     north, east, down = bench.query("position")
     latitude, longitude, altitude = bench.query("globalPosition")
+    of = "of home" if bench.binding.frame is None else "in the team's frame"
     return (
-        f"({north:.1f}, {east:.1f}, {down:.1f}) m of home, {latitude:.6f}, {longitude:.6f} "
+        f"({north:.1f}, {east:.1f}, {down:.1f}) m {of}, {latitude:.6f}, {longitude:.6f} "
         f"at {altitude:.0f} m, {bench.query('satellites')} satellites"
     )
 
@@ -139,9 +140,12 @@ async def modes(bench: Bench) -> str:
 async def limits(bench: Bench) -> str:
     """Goals outside are refused while it stands, before anything is sent."""
     given = bench.binding.limits
+    north, east, down = bench.query("position")
+    # Limits are about home, from which it may stand as far as they allow; places need not be about it.
+    home = down + bench.query("altitude")
     beyond = {
-        "altitude": ("goTo", 0.0, 0.0, -given.get("altitude", 0.0) - 1.0),
-        "radius": ("goTo", given.get("radius", 0.0) + 1.0, 0.0, -1.0),
+        "altitude": ("goTo", north, east, home - given.get("altitude", 0.0) - 1.0),
+        "radius": ("goTo", north + 2.0 * given.get("radius", 0.0) + 1.0, east, home - 1.0),
         "speed": ("setVelocity", given.get("speed", 0.0) + 1.0, 0.0, 0.0),
     }
     if not given:

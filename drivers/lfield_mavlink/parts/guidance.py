@@ -77,7 +77,7 @@ class Guidance:
         home = self._state.home
         if home is None or not self._state.knows_frames:
             raise self._vehicle.error("goToGlobal needs to know where home is, and the vehicle has not told")
-        north, east, _ = home.to(Place(latitude, longitude, home.altitude))
+        north, east, _ = home.to(Place(latitude, longitude, home.altitude), self._state.radius)
         await self._go_to("goToGlobal", (north, east, -height))
 
     async def _go_to(self, what: str, goal: Vector) -> None:

@@ -231,7 +231,7 @@ def _global(state: VehicleState, place: Vector | None) -> Place:
     """A place near home on the Earth."""
     assert state.home is not None, "the caller has looked"
     assert place is not None, "the caller has looked"
-    return state.home.shifted(place)
+    return state.home.shifted(place, state.radius)
 
 
 ORDERS: Mapping[int, Stack] = {ARDUPILOT: ArduPilot(), PX4: Px4()}

@@ -65,7 +65,8 @@ class _Shown(Struct, frozen=True):
 class Directory:
     """The agents of a mission as the host `here` knows them; `life` tells this run of it from the next.
 
-    Implements `offer.Team`. Only agents whose type is a provider of the registry are in it.
+    Implements `offer.Team`. Only agents whose type is a provider of the registry are in it. `pose` is where
+    the host stands by the devices file.
     """
 
     def __init__(
@@ -76,7 +77,9 @@ class Directory:
         links: Links,
         clock: Clock,
         life: int = 1,
+        pose: Place | None = None,
     ) -> None:
+        self._pose = pose
         self._registry, self._here, self._links, self._clock = registry, here, links, clock
         self._agents: dict[str, Deployed] = {a.id: a for a in agents if a.type in registry.providers}
         #: The agents of this host, whose conditions `own` wants.
@@ -150,10 +153,10 @@ class Directory:
         return [self._candidate(agent, now) for agent in self._by_type.get(resource, ())]
 
     def here(self) -> Place | None:
-        """Where this host is: where the first of its agents is whose place is known."""
+        """Where this host is: where the first of its agents is whose place is known, else its pose."""
         now = self._clock.monotonic()
         own = (self._candidate(agent, now) for agent in self._agents.values() if agent.host == self._here)
-        return place_of(own, self._registry.attributes)
+        return place_of(own, self._registry.attributes, self._pose)
 
     def everybody(self) -> list[Candidate]:
         """All agents as they are now, in the order of the deployment."""

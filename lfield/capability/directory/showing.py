@@ -83,13 +83,20 @@ def live_attributes(registry: Registry, agent: Deployed) -> dict[str, Live]:
     return {name: live[name] for name in sorted(live) if name not in stated}
 
 
-def place_of(candidates: Iterable[Candidate], attributes: Mapping[str, Attribute]) -> Place | None:
-    """Where the first of some agents is that tells north and east, and has done so lately."""
+def place_of(
+    candidates: Iterable[Candidate], attributes: Mapping[str, Attribute], pose: Place | None = None
+) -> Place | None:
+    """Where the first of some agents is that tells north and east, and has done so lately.
+
+    Else the `pose` of their host, unless one of them measures its place and does not know it: it has moved.
+    """
     for candidate in candidates:
         found = [_fresh(candidate, axis, attributes) for axis in POSITION]
         if found[0] is not None and found[1] is not None:
             return found[0], found[1], found[2]
-    return None
+        if any(axis in candidate.unknown or axis in candidate.facts for axis in POSITION):
+            pose = None
+    return pose
 
 
 def _fresh(candidate: Candidate, name: str, attributes: Mapping[str, Attribute]) -> float | None:

@@ -102,11 +102,13 @@ def _known(args: argparse.Namespace, team: Team, asked: Asked, at: str) -> Known
     # Where nobody listens at all nothing runs, which is no problem; anything else is one.
     nobody = not views and all(isinstance(error, AddressError) for error in errors.values())
     told = {} if nobody else errors
+    registry, pose = asked.registry, asked.frames.place(at)
     if not views:
-        return Known(from_files(asked.registry, team.deployed, at, asked.stated), silent=told)
+        return Known(from_files(registry, team.deployed, at, asked.stated, pose), silent=told)
     if at in errors:
         raise errors[at]
-    return Known(from_hosts(asked.registry, team.deployed, views, errors.keys(), at), tuple(views), told)
+    roster = from_hosts(registry, team.deployed, views, errors.keys(), at, pose)
+    return Known(roster, tuple(views), told)
 
 
 def _only(parties: list[Party]) -> Party:

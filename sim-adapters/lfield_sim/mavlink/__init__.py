@@ -8,21 +8,26 @@ import secrets
 from collections.abc import Sequence
 
 from lfield.driver.binding import DeviceBinding
+from lfield.driver.frame import Placement
 from lfield.errors import PluginError, UsageError
 from lfield_sim.faults import add_fault_option
 from lfield_sim.mavlink.options import (
+    APART,
     BOARD_BITS,
     FLAVOURS,
     KINDS,
     SPEEDS,
+    Stand,
     VehicleOption,
     board,
     fitted,
+    origin,
     parse_listen,
     positive,
     settings,
     share,
     speeds,
+    stand,
     system,
     vehicle,
     vehicles,
@@ -66,6 +71,13 @@ class MavlinkSim:
             "--board", type=board, metavar="HEX",
             help="number of its board, 0 for none (drawn); of the next vehicle one more",
         )  # fmt: skip
+        parser.add_argument(
+            "--origin", type=origin, metavar="LATITUDE,LONGITUDE,ALTITUDE", help="where all are switched on"
+        )
+        parser.add_argument(
+            "--stand", type=stand, action="append", default=[], metavar="SYSTEM:NORTH,EAST,DOWN,HEADING",
+            help="where one is switched on, in metres of there and what it takes for north, in radians",
+        )  # fmt: skip
         add_log_option(parser)
         add_fault_option(parser)
         parser.add_argument(
@@ -79,15 +91,21 @@ class MavlinkSim:
         """
         made: dict[int, VehicleOption] = {}
         parameters: list[str] = []
+        stands: dict[int, Stand] = {}
         for device in devices:
             options = device.options
             number = int(str(options.get("system", 1)))
             kind, stack = str(options.get("kind", "copter")), str(options.get("autopilot", "any"))
             flavour = stack if stack in FLAVOURS else FLAVOURS[0]
             made.setdefault(number, VehicleOption(number, kind, flavour, device.name))
+            if device.frame is not None:
+                stands.setdefault(number, _stand(device.frame, device.sim))
             for name, value in _set_up(device, made[number]).items():
                 parameters.append(f"--param={name}@{number}={value:.9g}")
         words = [word for each in made.values() for word in ("--vehicle", str(each))]
+        words += [f"--stand={number}:{each}" for number, each in stands.items()]
+        at = next((d.frame.origin for d in devices if d.frame is not None and d.frame.origin), None)
+        words += [f"--origin={at.latitude!r},{at.longitude!r},{at.altitude!r}"] if at else []
         return ["--listen", "udp:127.0.0.1:0", *words, *parameters]
 
     def run(self, args: argparse.Namespace) -> int:
@@ -100,11 +118,24 @@ class MavlinkSim:
         where, wanted = parse_listen(args.listen), vehicles(args)
         given, limits = settings(args), speeds(args)
         try:
+            from lfield_sim.mavlink.geo import Place
             from lfield_sim.mavlink.run import Setup, serve
         except ImportError:
             raise PluginError("the fake 'mavlink' needs pymavlink: pip install 'lfield[mavlink]'") from None
         number = secrets.randbits(BOARD_BITS) if args.board is None else args.board
-        setup = Setup(wanted, args.battery, args.capacity, limits, given, args.fitted, args.set_up, number)
+        field = Place(*args.origin).truly if args.origin else None
+        setup = Setup(
+            wanted,
+            args.battery,
+            args.capacity,
+            limits,
+            given,
+            args.fitted,
+            args.set_up,
+            number,
+            field,
+            dict(args.stand),
+        )
         try:
             faults = setup.faults(args.fault)
         except ValueError as error:
@@ -112,6 +143,18 @@ class MavlinkSim:
         link = setup.link(faults)
         log = setup.log(args.log, link)
         await serve(link, where, setup, faults, log, until_stdin_closes=args.until_stdin_closes)
+
+
+def _stand(placement: Placement, conditions: Sequence[str]) -> Stand:
+    """Where a vehicle of a team with a frame is switched on: at its pose, else where nobody else is.
+
+    What its binding says of its fake goes from there, and from the origin where it says where that is.
+    """
+    if placement.pose is not None:
+        pose = placement.pose
+        return Stand(pose.north, pose.east, pose.down, pose.heading)
+    put = any(each.startswith(("north", "east")) for each in conditions)
+    return Stand() if put else Stand(east=placement.number * APART)
 
 
 def _set_up(device: DeviceBinding, vehicle: VehicleOption) -> dict[str, float]:

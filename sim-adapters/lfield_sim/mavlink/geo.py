@@ -8,6 +8,10 @@ from dataclasses import dataclass, replace
 from lfield_sim.autopilot.vehicle import Vector
 
 EARTH_RADIUS = 6378137.0
+#: Of the sphere on which PX4 counts, as recorded (px4-copter.e-gcs-loss); ArduPilot's is within 40 m of ours.
+PX4_RADIUS = 6371000.0
+#: The square of the first eccentricity of the ellipsoid (WGS 84).
+ECCENTRICITY = 6.69437999014e-3
 #: MAV_FRAMEs whose height is above home; the other global ones are above mean sea level.
 ABOVE_HOME = frozenset({3, 6, 10, 11})
 #: Farther from the origin than this (m) nothing is flown to.
@@ -16,16 +20,27 @@ FARTHEST = 1e6
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """The origin of the local frame: degrees, and metres above mean sea level. Flat around it."""
+    """The origin of the local frame: degrees, and metres above mean sea level. Flat around it.
+
+    `radii` are those of the Earth along the meridian and across it, as they are counted with here, in metres.
+    """
 
     latitude: float = 47.3977420
     longitude: float = 8.5455940
     altitude: float = 488.0
+    radii: tuple[float, float] = (EARTH_RADIUS, EARTH_RADIUS)
+
+    @property
+    def truly(self) -> Place:
+        """The same on the ellipsoid, as a tape measures."""
+        bulge = 1.0 - ECCENTRICITY * math.sin(math.radians(self.latitude)) ** 2
+        across = EARTH_RADIUS / math.sqrt(bulge)
+        return replace(self, radii=(across * (1.0 - ECCENTRICITY) / bulge, across))
 
     def at(self, north: float, east: float) -> tuple[int, int]:
         """Latitude and longitude of a place near the origin, in 1e-7 degrees."""
-        latitude = self.latitude + math.degrees(north / EARTH_RADIUS)
-        longitude = self.longitude + math.degrees(east / (EARTH_RADIUS * self._shrink))
+        latitude = self.latitude + math.degrees(north / self.radii[0])
+        longitude = self.longitude + math.degrees(east / (self.radii[1] * self._shrink))
         return round(latitude * 1e7), round(longitude * 1e7)
 
     def moved(self, north: float, east: float) -> Place:
@@ -35,8 +50,8 @@ class Place:
 
     def local(self, latitude: float, longitude: float) -> tuple[float, float]:
         """Metres north and east of the origin, from 1e-7 degrees."""
-        north = math.radians(latitude / 1e7 - self.latitude) * EARTH_RADIUS
-        east = math.radians(longitude / 1e7 - self.longitude) * EARTH_RADIUS * self._shrink
+        north = math.radians(latitude / 1e7 - self.latitude) * self.radii[0]
+        east = math.radians(longitude / 1e7 - self.longitude) * self.radii[1] * self._shrink
         return north, east
 
     @property

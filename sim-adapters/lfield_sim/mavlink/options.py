@@ -10,6 +10,10 @@ from lfield.errors import UsageError
 
 #: What an integer parameter cannot hold any more.
 LARGEST = 2.0**31
+#: Metres between the places where vehicles are switched on that nobody has put anywhere.
+APART = 5.0
+#: Metres: no vehicle stands farther from where all are switched on.
+FARTHEST = 1e6
 #: The number of a board is drawn in so many bits.
 BOARD_BITS = 95
 KINDS, FLAVOURS = ("copter", "rover", "rover_skid"), ("ardupilot", "px4")
@@ -40,6 +44,46 @@ class VehicleOption:
 
     def __str__(self) -> str:
         return f"{self.system}:{self.kind}:{self.flavour}" + (f":{self.name}" if self.name else "")
+
+
+@dataclass(frozen=True, slots=True)
+class Stand:
+    """Where a vehicle is switched on: metres north, east and down of where all are.
+
+    `heading` (rad, clockwise) is where its own north points: of one that finds none by satellites or compass.
+    """
+
+    north: float = 0.0
+    east: float = 0.0
+    down: float = 0.0
+    heading: float = 0.0
+
+    def __str__(self) -> str:
+        return f"{self.north!r},{self.east!r},{self.down!r},{self.heading!r}"
+
+
+def origin(text: str) -> tuple[float, float, float]:
+    """`LATITUDE,LONGITUDE,ALTITUDE`: degrees, and metres above mean sea level."""
+    latitude, longitude, altitude = _numbers(text, 3)
+    if not (abs(latitude) < 90.0 and abs(longitude) <= 180.0):
+        raise argparse.ArgumentTypeError("LATITUDE,LONGITUDE,ALTITUDE in degrees and metres")
+    return latitude, longitude, altitude
+
+
+def stand(text: str) -> tuple[int, Stand]:
+    """`SYSTEM:NORTH,EAST,DOWN,HEADING`."""
+    number, _, rest = text.partition(":")
+    return system(number), Stand(*_numbers(rest, 4))
+
+
+def _numbers(text: str, count: int) -> list[float]:
+    try:
+        numbers = [float(each) for each in text.split(",")]
+    except ValueError:
+        numbers = []
+    if len(numbers) != count or not all(abs(number) <= FARTHEST for number in numbers):
+        raise argparse.ArgumentTypeError(f"{count} numbers with commas between")
+    return numbers
 
 
 def share(text: str) -> float:

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from functools import partial
 
 from lfield.errors import UsageError
 from lfield_sim.autopilot.autopilot import FLAVOURS, Autopilot
 from lfield_sim.autopilot.equipment import HARDWARE, Battery, Payload
 from lfield_sim.faults import Faults
-from lfield_sim.mavlink.geo import Place
+from lfield_sim.mavlink.geo import EARTH_RADIUS, PX4_RADIUS, Place, turned
 from lfield_sim.mavlink.link.wire import KNOWN
-from lfield_sim.mavlink.options import VehicleOption
+from lfield_sim.mavlink.options import APART, Stand, VehicleOption
 from lfield_sim.mavlink.protocol import MavlinkFake, MavlinkLink
 from lfield_sim.mavlink.server import Server, open_door
 from lfield_sim.mavlink.set_up import set_up
@@ -22,17 +22,17 @@ from lfield_sim.state_log import StateLog
 
 #: The share of the capacity at which ArduPilot calls the battery low, when the capacity is set.
 LOW = 0.2
-#: Metres between the places where the vehicles of one link are switched on.
-APART = 5.0
 
 
 @dataclass(frozen=True, slots=True)
 class Setup:
     """The vehicles of a link, and what is set in them: charge, mAh, limits (SI).
 
-    `parameters` are by system, 0 for all; `fitted` is what hangs on them; `state` is what they do when their
-    computer is gone ('': as they come out of the box, nothing). `board` is the number of the first one's
-    board, one less than the next one's; 0 when they tell none.
+    `origin` is where all are switched on, None for the usual field; `stands` are where single ones are of
+    it, by system: the others stand side by side. `parameters` are by system, 0 for all; `fitted` is what
+    hangs on them; `state` is what they do when their computer is gone ('': as they come out of the box,
+    nothing). `board` is the number of the first one's board, one less than the next one's; 0 when they
+    tell none.
     """
 
     vehicles: Sequence[VehicleOption]
@@ -43,6 +43,8 @@ class Setup:
     fitted: frozenset[str] = HARDWARE
     state: str = ""
     board: int = 0
+    origin: Place | None = None
+    stands: Mapping[int, Stand] = field(default_factory=dict)
 
     @property
     def devices(self) -> dict[str, str]:
@@ -82,7 +84,10 @@ class Setup:
         kind = FLAVOURS[option.flavour][option.kind]
         board = self.board + number if self.board else 0
         autopilot = Autopilot(kind, board=board, battery=Battery(self.charge), payload=Payload(self.fitted))
-        place = Place().moved(0.0, number * APART)
+        stand = self.stands.get(option.system, Stand(east=number * APART))
+        there = (self.origin or Place()).moved(stand.north, stand.east)
+        radius = PX4_RADIUS if option.flavour == "px4" else EARTH_RADIUS
+        place = replace(there, altitude=there.altitude - stand.down, radii=(radius, radius))
         fake = MavlinkFake(autopilot, system=option.system, place=place, faults=faults)
         for limit, (name, scale) in kind.speeds.items():
             # What speeds up both ways does so up and down, too.
@@ -101,12 +106,16 @@ class Setup:
         autopilot.apply_parameters()
         return fake
 
+    def place(self, fake: MavlinkFake) -> tuple[float, float, float]:
+        """Where a vehicle is, in metres north, east and up of where fakes are switched on.
 
-def _place(fake: MavlinkFake) -> tuple[float, float, float]:
-    """Where a vehicle is, in metres north, east and up of where fakes are switched on."""
-    north, east, down = fake.autopilot.vehicle.place
-    from_there = Place().local(*fake.place.at(north, east))
-    return *from_there, -down
+        By the ellipsoid, where that is a place that somebody has given; else as its autopilot counts them.
+        """
+        stand, local = self.stands.get(fake.system, Stand()), fake.autopilot.vehicle.place
+        north, east, down = turned(local, stand.heading)
+        there = self.origin or replace(Place(), radii=fake.place.radii)
+        up = fake.place.altitude - there.altitude - down
+        return *there.local(*fake.place.at(north, east)), up
 
 
 async def serve(
@@ -127,7 +136,7 @@ async def serve(
             "mavlink", door.endpoint, setup.words, faults,
             devices=setup.devices, until_stdin_closes=until_stdin_closes,
             facts={str(each.system): each.autopilot.facts for each in link.vehicles},
-            places={str(each.system): partial(_place, each) for each in link.vehicles},
+            places={str(each.system): partial(setup.place, each) for each in link.vehicles},
         )  # fmt: skip
     finally:
         ticking.cancel()

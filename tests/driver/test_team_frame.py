@@ -1,0 +1,167 @@
+"""The team's frame: poses there and back, and what a device tells and is told at its edge."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from lfield.clock import ManualClock
+from lfield.driver import Device, DeviceBinding, DeviceError, Placement, Pose
+from lfield.driver.frame import turned
+from lfield.driver.manifest_file import load_manifest
+from lfield.errors import PluginError
+from lfield.testing.reports import KeptReports
+
+MANIFEST = b"""
+driver: cart
+type: Cart
+meaning: a cart on a floor
+safe_states: [stop]
+instructions:
+  goTo:
+    parameters: {north: {type: real, unit: m, frame: place}, east: {type: real, unit: m, frame: place}}
+    blocking: true
+    cancel: never
+  fly:
+    parameters:
+      speed: {type: real}
+      north: {type: real, unit: m, frame: place}
+      east: {type: real, unit: m, frame: place}
+      down: {type: real, unit: m, frame: place}
+      heading: {type: real, unit: rad, frame: heading}
+      drift: {type: "real[]", unit: m/s, frame: direction}
+      path: {type: "real[]", unit: m, frame: place}
+    blocking: true
+    cancel: never
+  wait: {parameters: {seconds: {type: real}}, blocking: true, cancel: never}
+telemetry:
+  position: {type: "real[]", unit: m, frame: place}
+  velocity: {type: "real[]", unit: m/s, frame: direction}
+  attitude: {type: "real[]", unit: rad, frame: heading}
+  heading: {type: real, unit: rad, frame: heading}
+  battery: {type: real}
+"""
+
+#: Its own north points to the team's east.
+EAST = Pose(10.0, 20.0, -1.0, math.pi / 2)
+
+
+class Cart(Device):
+    """Keeps what it was told; `frame` is asked anew each time."""
+
+    def __init__(self, placement):
+        binding = DeviceBinding(
+            agent="a", field="f", type="Cart", driver="cart", endpoint="x", safe_state="stop", frame=placement
+        )
+        self.kept = KeptReports()
+        self.told = None
+        super().__init__(binding, load_manifest("cart.yaml", MANIFEST), ManualClock(), self.kept)
+
+    async def do_go_to(self, north, east):
+        self.told = (north, east)
+
+    async def do_fly(self, *values):
+        self.told = values
+
+    async def do_wait(self, seconds):
+        self.told = (seconds,)
+
+
+def run(cart, name, *values):
+    asyncio.run(cart.execute(name, values))
+    return cart.told
+
+
+metres = st.floats(-1e4, 1e4)
+ways = st.tuples(metres, metres, metres)
+poses = st.builds(Pose, metres, metres, metres, st.floats(-math.tau, math.tau))
+
+
+@given(pose=poses, place=ways)
+def test_a_pose_leads_there_and_back(pose, place):
+    assert pose.from_team(pose.to_team(place)) == pytest.approx(place, abs=1e-8)
+
+
+@given(pose=poses, one=ways, other=ways)
+def test_a_pose_changes_no_distance(pose, one, other):
+    assert math.dist(pose.to_team(one), pose.to_team(other)) == pytest.approx(math.dist(one, other), abs=1e-8)
+
+
+@given(way=ways, heading=st.floats(-math.tau, math.tau))
+def test_who_turns_sees_a_way_turned_by_as_much(way, heading):
+    north, east, down = turned(way, heading)
+    assert math.hypot(north, east) == pytest.approx(math.hypot(*way[:2]), abs=1e-8)
+    assert down == way[2]
+    if math.hypot(north, east) > 1e-3:
+        turn = math.atan2(east, north) - math.atan2(way[1], way[0]) - heading
+        assert math.remainder(turn, math.tau) == pytest.approx(0.0, abs=1e-6)
+
+
+def test_arguments_are_of_the_teams_frame_and_arrive_in_its_own():
+    cart = Cart(Placement(pose=EAST))
+    # 3 m east of the team's (10, 20) is 3 m ahead of it.
+    assert run(cart, "goTo", 10.0, 23.0) == pytest.approx((3.0, 0.0))
+    told = run(
+        cart, "fly", 0.5, 10.0, 20.0, -6.0, math.pi, [1.0, 0.0, 2.0], [10.0, 21.0, -1.0, 9.0, 20.0, 0.0]
+    )
+    assert told[:5] == pytest.approx((0.5, 0.0, 0.0, -5.0, math.pi / 2))
+    assert told[5] == pytest.approx([0.0, -1.0, 2.0])
+    assert told[6] == pytest.approx([1.0, 0.0, 0.0, 0.0, 1.0, 1.0])
+    assert run(cart, "wait", 2.5) == (2.5,)
+
+
+def test_what_it_tells_is_in_the_teams_frame():
+    cart = Cart(Placement(pose=EAST))
+    cart.publish(position=[3.0, 0.0, 0.0], velocity=[1.0, 0.0, 0.5], heading=6.0, battery=0.5)
+    cart.publish(attitude=[0.1, 0.2, math.pi - 0.1])
+    found = cart.kept.values
+    assert found["position"] == pytest.approx([10.0, 23.0, -1.0])
+    assert found["velocity"] == pytest.approx([0.0, 1.0, 0.5])
+    assert found["heading"] == pytest.approx((6.0 + math.pi / 2) % math.tau)
+    assert found["attitude"] == pytest.approx([0.1, 0.2, -math.pi / 2 - 0.1])
+    assert found["battery"] == 0.5
+
+
+@given(pose=poses, place=ways)
+def test_who_is_sent_to_where_another_tells_to_be_is_there(pose, place):
+    one, other = Cart(Placement(pose=EAST)), Cart(Placement(pose=pose))
+    one.publish(position=list(place))
+    told = run(other, "goTo", *one.kept.values["position"][:2])
+    there = pose.to_team((*told, 0.0))
+    assert there[:2] == pytest.approx(EAST.to_team(place)[:2], abs=1e-7)
+
+
+def test_without_a_frame_all_is_as_it_is():
+    cart = Cart(None)
+    cart.publish(position=[3.0, 0.0, 0.0], heading=6.0)
+    assert cart.kept.values == {"position": [3.0, 0.0, 0.0], "heading": 6.0}
+    assert run(cart, "goTo", 10.0, 23.0) == (10.0, 23.0)
+
+
+def test_who_does_not_know_where_it_is_tells_no_place_and_goes_to_none():
+    cart = Cart(Placement())
+    cart.publish(position=[0.0, 0.0, 0.0], heading=0.0, battery=0.5)
+    assert cart.kept.values == {"battery": 0.5}
+    with pytest.raises(
+        DeviceError, match=r"goTo refused: it does not know yet where it is in the team's frame"
+    ):
+        run(cart, "goTo", 0.0, 0.0)
+    assert cart.told is None
+    assert run(cart, "wait", 2.5) == (2.5,)
+
+
+def test_only_numbers_can_be_about_a_frame():
+    wrong = MANIFEST.replace(b"battery: {type: real}", b"battery: {type: int, frame: place}")
+    with pytest.raises(PluginError, match="a int is no place"):
+        load_manifest("cart.yaml", wrong)
+    with pytest.raises(PluginError, match="'frame' is one of place, direction, heading"):
+        load_manifest("cart.yaml", MANIFEST.replace(b"frame: heading", b"frame: hedding"))
+
+
+def test_a_manifest_tells_whether_it_has_places():
+    assert load_manifest("cart.yaml", MANIFEST).has_places
+    assert not load_manifest("cart.yaml", MANIFEST.replace(b", frame: ", b", meaning: ")).has_places

@@ -1,0 +1,38 @@
+"""The kit of MAVLink vehicles whose bindings place them in a team's frame: the same checks pass there."""
+
+from __future__ import annotations
+
+import pytest
+from kit_findings import failed, not_run
+
+FAST = ("--climb", "8", "--cruise", "15", "--descend", "8", "--land", "6", "--acceleration", "15")
+LIMITS = "limits: {speed: 5.0, altitude: 20.0, radius: 50.0}"
+#: Fakes are switched on 300 m north of this origin and 20 m above it; the pose is turned to the east.
+PLACES = {
+    "origin": {"origin": "{latitude: 47.395044, longitude: 8.545594, altitude: 468.0}"},
+    "pose": {"frame": "{north: 40.0, east: -7.0, down: 2.0, heading: 1.5707963}"},
+}
+SPEEDS = {
+    "ardupilot": "--set-up --param WPNAV_SPEED=500",
+    "px4": "--set-up --param MPC_XY_VEL_MAX=5 --param MPC_XY_CRUISE=5 --param MPC_VEL_MANUAL=5",
+}
+
+
+@pytest.mark.parametrize(("place", "stack"), [("origin", "px4"), ("pose", "ardupilot")])
+def test_a_copter_passes_wherever_its_team_counts_from(desk, try_kit, place, stack):
+    link = desk.fake(
+        "mavlink",
+        "--listen",
+        "udp:127.0.0.1:0",
+        "--vehicle",
+        f"1:copter:{stack}",
+        *SPEEDS[stack].split(),
+        *FAST,
+    )
+    bound = f'endpoint: "{link.endpoint}", system: 1, waivers: [device_watchdog], {LIMITS}'
+    found = try_kit("mavlink", {"copter": bound}, **PLACES[place])
+    assert failed(found) == []
+    assert not_run(found) == set()
+    told = found["copter", "where it is"].seen
+    assert ("(300.0, 0.0, -20.0)" if place == "origin" else "(40.0, -7.0, 2.0)") in told, told
+    assert "in the team's frame" in told

@@ -1,0 +1,224 @@
+"""Where a vehicle is in its team's frame: on the Earth, by a pose, before it tells its origin, restarted."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from lfield.driver import DeviceError, Origin, Placement, Pose
+from lfield_mavlink.contact.state import VehicleState
+from lfield_mavlink.frames import AboutHome, Earthly, frame_of
+from lfield_mavlink.geo import Place
+from lfield_mavlink.link.dialect import dialect
+from lfield_mavlink.modes import ARDUPILOT, PX4, RADII
+
+#: Of the ellipsoid WGS 84: the half axis in metres, the square of its eccentricity.
+AXIS, ECCENTRICITY = 6378137.0, 6.69437999014e-3
+
+latitudes, longitudes = st.floats(-75.0, 75.0), st.floats(-180.0, 180.0)
+metres = st.floats(-2000.0, 2000.0)
+ways = st.tuples(metres, metres, st.floats(-100.0, 100.0))
+radii = st.sampled_from(sorted(RADII.values()))
+
+
+def in_space(latitude, longitude):
+    """Metres from the middle of the Earth."""
+    phi, lam = math.radians(latitude), math.radians(longitude)
+    n = AXIS / math.sqrt(1.0 - ECCENTRICITY * math.sin(phi) ** 2)
+    across = n * math.cos(phi)
+    return (across * math.cos(lam), across * math.sin(lam), n * (1.0 - ECCENTRICITY) * math.sin(phi))
+
+
+@given(latitude=latitudes, longitude=longitudes, off=ways, place=ways, radius=radii)
+def test_the_earth_leads_there_and_back(latitude, longitude, off, place, radius):
+    team = Origin(latitude, longitude, 100.0)
+    frame = Earthly(team, Place(latitude, longitude, 100.0).shifted(off), radius)
+    assert frame.from_team(frame.to_team(place)) == pytest.approx(place, abs=1e-5)
+
+
+@given(latitude=latitudes, longitude=longitudes, place=ways, radius=radii)
+def test_metres_of_the_team_are_those_of_a_tape(latitude, longitude, place, radius):
+    """Distances by the way through space, which is shorter than that over ground by a millimetre at most."""
+    team, origin = Origin(latitude, longitude, 0.0), Place(latitude, longitude, 0.0)
+    north, east, down = Earthly(team, origin, radius).to_team(place)
+    there = origin.shifted(place, radius)
+    straight = math.dist(in_space(latitude, longitude), in_space(there.latitude, there.longitude))
+    assert math.hypot(north, east) == pytest.approx(straight, abs=0.001)
+    assert down == pytest.approx(place[2])
+    assert math.dist((north, east), place[:2]) <= 0.01 * math.hypot(*place[:2]) + 1e-6
+
+
+@given(latitude=latitudes, longitude=longitudes, spots=st.tuples(ways, ways), place=ways)
+def test_two_autopilots_that_count_otherwise_agree_on_a_spot(latitude, longitude, spots, place):
+    team, base = Origin(latitude, longitude, 50.0), Place(latitude, longitude, 50.0)
+    one, other = (Earthly(team, base.shifted(spot), r) for spot, r in zip(spots, RADII.values(), strict=True))
+    own, others = one.from_team(place), other.from_team(place)
+    ones, their = one.origin.shifted(own, one.radius), other.origin.shifted(others, other.radius)
+    assert (
+        math.dist(in_space(ones.latitude, ones.longitude), in_space(their.latitude, their.longitude)) < 1e-4
+    )
+    assert ones.altitude == pytest.approx(their.altitude)
+
+
+def test_meridians_come_together():
+    team = Origin(60.0, 10.0, 0.0)
+    east = Earthly(team, Place(60.0, 10.1, 0.0), AXIS)
+    assert east.heading == pytest.approx(-math.radians(0.1) * math.sin(math.radians(60.0)), rel=1e-3)
+    ahead, here = east.to_team((100.0, 0.0, 0.0)), east.to_team((0.0, 0.0, 0.0))
+    way = math.atan2(ahead[1] - here[1], ahead[0] - here[0])
+    assert way == pytest.approx(east.heading, abs=1e-4)
+
+
+def test_across_the_date_line():
+    frame = Earthly(Origin(-17.0, 179.9999, 0.0), Place(-17.0, -179.9999, 0.0), AXIS)
+    north, east, _ = frame.to_team((0.0, 0.0, 0.0))
+    assert (north, east) == pytest.approx((0.0, 21.3), abs=0.1)
+
+
+def test_no_place_stays_none():
+    frame = AboutHome(Earthly(Origin(47.0, 8.0, 0.0), Place(47.0, 8.0, 0.0), AXIS), (0.0, 0.0, 0.0))
+    assert not any(map(math.isfinite, frame.from_team((math.nan, math.nan, math.nan))))
+    assert frame.from_team((math.inf, 0.0, 0.0))[0] == math.inf
+
+
+# -- what a vehicle has told ------------------------------------------------------------
+
+TEAM = Placement(Origin(47.0, 8.0, 400.0))
+
+
+def told(state, *messages):
+    for message in messages:
+        state.update(message, 0.0)
+
+
+def origin(north=0.0, east=0.0):
+    place = Place(47.0, 8.0, 400.0).shifted((north, east, 0.0))
+    return dialect.MAVLink_gps_global_origin_message(
+        round(place.latitude * 1e7), round(place.longitude * 1e7), 400_000, 0
+    )
+
+
+def home(north, east, down):
+    place = Place(47.0, 8.0, 400.0).shifted((north, east, down))
+    return dialect.MAVLink_home_position_message(
+        round(place.latitude * 1e7), round(place.longitude * 1e7), round(place.altitude * 1000),
+        0.0, 0.0, 0.0, [1.0, 0.0, 0.0, 0.0], 0.0, 0.0, 0.0, 0,
+    )  # fmt: skip
+
+
+def local(booted, north, east, down):
+    return dialect.MAVLink_local_position_ned_message(booted, north, east, down, 0.0, 0.0, 0.0)
+
+
+@pytest.fixture
+def state():
+    state = VehicleState("copter")
+    state.autopilot = ARDUPILOT
+    return state
+
+
+def test_home_and_origin_are_two_places(state):
+    told(state, origin(100.0, 0.0), home(103.0, 4.0, -2.0), local(5000, 10.0, 0.0, -6.0))
+    assert state.position == pytest.approx((7.0, -4.0, -4.0), abs=0.05)
+    frame = frame_of(TEAM, state)
+    assert frame.to_team(state.position) == pytest.approx((110.0, 0.0, -6.0), abs=0.35)
+    moved = frame.to_team(state.position)
+    told(state, home(60.0, 0.0, 0.0))
+    assert frame_of(TEAM, state).to_team(state.position) == pytest.approx(moved, abs=0.02)
+
+
+def test_a_pose_is_of_the_origin_and_not_of_home(state):
+    placed = Placement(pose=Pose(1.0, 2.0, 3.0))
+    told(state, origin(100.0, 0.0), home(103.0, 4.0, -2.0), local(5000, 10.0, 0.0, -6.0))
+    assert frame_of(placed, state).to_team(state.position) == pytest.approx((11.0, 2.0, -3.0))
+
+
+def test_who_has_not_told_its_origin_is_nowhere(state):
+    told(state, home(0.0, 0.0, 0.0), local(5000, 10.0, 0.0, 0.0))
+    assert frame_of(TEAM, state) is None
+    assert frame_of(Placement(pose=Pose(1.0, 2.0)), state) is not None
+    told(state, origin())
+    assert frame_of(TEAM, state) is not None
+
+
+def test_after_a_restart_the_origin_of_before_does_not_count(state):
+    placed = Placement(pose=Pose(1.0, 2.0))
+    told(state, origin(), home(0.0, 0.0, 0.0), local(60_000, 20.0, 0.0, 0.0))
+    # ArduRover tells positions 11 s before it tells where its frame begins now.
+    told(state, local(900, 0.0, 0.0, 0.0))
+    assert frame_of(TEAM, state) is None
+    assert frame_of(placed, state) is None
+    assert not state.knows_frames
+    told(state, origin(20.0, 0.0), home(20.0, 0.0, 0.0), local(2000, 0.0, 0.0, 0.0))
+    assert frame_of(TEAM, state).to_team((0.0, 0.0, 0.0)) == pytest.approx((20.0, 0.0, 0.0), abs=0.1)
+    assert frame_of(placed, state).to_team((0.0, 0.0, 0.0)) == pytest.approx((21.0, 2.0, 0.0), abs=0.1)
+
+
+def test_a_packet_that_was_overtaken_is_no_restart(state):
+    told(state, origin(), home(0.0, 0.0, 0.0), local(60_000, 20.0, 0.0, 0.0), local(59_900, 19.0, 0.0, 0.0))
+    assert state.knows_frames
+    assert frame_of(TEAM, state) is not None
+
+
+# -- on the wire ----------------------------------------------------------------------
+
+
+#: 300 m south of where fakes are switched on, and 20 m below.
+SOUTH = Placement(Origin(47.395044, 8.545594, 468.0))
+
+
+@pytest.mark.parametrize("stack", ["ardupilot", "px4"])
+def test_it_flies_to_places_of_the_team(bench, stack):
+    flight = bench(flavour=stack, frame=SOUTH, limits={"radius": 60.0, "altitude": 20.0})
+
+    async def story(device):
+        await flight.until(lambda: "position" in flight.values)
+        assert flight.values["position"] == pytest.approx([300.0, 0.0, -20.0], abs=0.5)
+        assert flight.values["altitude"] == pytest.approx(0.0, abs=0.1)
+        await device.execute("arm", [])
+        await device.execute("takeoff", [5.0])
+        await device.execute("goTo", [310.0, 12.0, -28.0])
+        assert flight.autopilot.vehicle.place == pytest.approx((10.0, 12.0, -8.0), abs=0.7)
+        assert flight.values["position"] == pytest.approx([310.0, 12.0, -28.0], abs=0.7)
+        # Its limits are about home all the same.
+        with pytest.raises(DeviceError, match="from home is beyond the limit of 60 m"):
+            await device.execute("goTo", [0.0, 0.0, -28.0])
+
+    flight.run(story)
+
+
+def test_a_vehicle_without_an_origin_is_nowhere_until_it_tells_one(bench):
+    flight = bench(flavour="px4", frame=SOUTH)
+    passed = flight.filter
+    hidden = [True]
+
+    def without_origin(link, packet):
+        if not (hidden[0] and packet[7] == dialect.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN):
+            passed(link, packet)
+
+    flight.filter = without_origin
+
+    async def story(device):
+        await flight.until(lambda: "armed" in flight.values)
+        assert "position" not in flight.values
+        assert "heading" not in flight.values
+        assert any("no place in the team's frame yet" in note for note in flight.notes)
+        await device.execute("arm", [])
+        await device.execute("takeoff", [4.0])
+        with pytest.raises(DeviceError, match="goTo refused: it does not know yet where it is"):
+            await device.execute("goTo", [300.0, 0.0, -24.0])
+        hidden[0] = False
+        await flight.until(lambda: "position" in flight.values)
+        await device.execute("goTo", [304.0, 0.0, -24.0])
+        assert flight.values["position"] == pytest.approx([304.0, 0.0, -24.0], abs=0.7)
+
+    flight.run(story)
+
+
+def test_px4_and_ardupilot_have_their_own_spheres():
+    state = VehicleState("copter")
+    state.autopilot = PX4
+    assert state.radius == 6371000.0
