@@ -7,12 +7,13 @@ capability of a registry nothing of all this happens.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import Protocol
 
 from lfield.bytecode.program import DeviceCall
 from lfield.capability.directory.directory import Directory, Links
-from lfield.capability.directory.news import News
+from lfield.capability.directory.news import News, Reserved
 from lfield.capability.model import Registry
 from lfield.capability.offer import Candidate
 from lfield.clock import Clock
@@ -74,6 +75,8 @@ class TeamDirectory:
         fields = {agent.id: mission.bindings.devices.get(agent.id, {}) for agent in agents}
         self._sampler = Sampler(registry.attributes, running, fields, nearby, clock)
         self._linked: dict[str, None] = {}
+        #: Who has reserved an agent of this host.
+        self.reserved: Callable[[str], Reserved | None] = lambda agent: None
         #: When `tick` has something to do next, None for never.
         self.due: float | None = None
 
@@ -115,7 +118,8 @@ class TeamDirectory:
     def look(self) -> None:
         """Bring what the directory knows of this host's agents up to date."""
         for agent in self.directory.own_agents:
-            self.directory.own(agent, self._sampler.condition(agent, self.directory.live(agent)))
+            condition = self._sampler.condition(agent, self.directory.live(agent))
+            self.directory.own(agent, replace(condition, reserved=self.reserved(agent)))
 
     def _report(self, news: News) -> Report:
         return self._reports.write(news, self._clock.monotonic())
@@ -123,6 +127,7 @@ class TeamDirectory:
     def told(self) -> list[Told]:
         """For whoever asks from outside: how every agent is now."""
         self.look()
+        self.directory.asker = ""
         return [self._told(candidate) for candidate in self.directory.everybody()]
 
     def _told(self, candidate: Candidate) -> Told:

@@ -30,15 +30,22 @@ class Offers:
         self._directory = directory
         self._answers = Answers(directory.registry, directory.directory, ways(mission.program), numbers)
 
-    def offers(self, capability: str, constraint: str | None) -> list[Found]:
-        """Who offers a capability and fulfils the condition, best first. Raises ConstraintError."""
-        self._directory.look()
+    def offers(self, asker: str, capability: str, constraint: str | None) -> list[Found]:
+        """Who offers a capability to a coordinator, and fulfils the condition, best first.
+
+        Raises ConstraintError.
+        """
+        self._look(asker)
         return self._answers.offers(capability, constraint)
 
-    def explain(self, capability: str, constraint: str | None) -> str:
+    def explain(self, asker: str, capability: str, constraint: str | None) -> str:
         """Why everybody else does not, a line each. Raises ConstraintError."""
-        self._directory.look()
+        self._look(asker)
         return self._answers.explain(capability, constraint)
+
+    def _look(self, asker: str) -> None:
+        self._directory.look()
+        self._directory.directory.asker = asker
 
 
 class Answers:

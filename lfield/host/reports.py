@@ -9,7 +9,7 @@ import math
 from collections.abc import Sequence
 
 from lfield.capability.directory.directory import Deployed, live_attributes
-from lfield.capability.directory.news import Condition, News, Sample, Scalar, Trouble
+from lfield.capability.directory.news import Condition, News, Reserved, Sample, Scalar, Trouble
 from lfield.capability.model import Attribute, Registry
 from lfield.errors import WireError
 from lfield.wire.fields import MAX_LABEL, age, clip
@@ -51,7 +51,8 @@ class Reports:
         ]
         unknown = [(places[name], clip(why, MAX_LABEL)) for name, why in change.unknown.items()]
         reason = clip(trouble.reason, MAX_LABEL) if trouble else ""
-        return AgentReport(self._numbers[agent], reason, lasting, facts, unknown)
+        holder, held = ("", 0.0) if (r := change.reserved) is None else (r.holder, age(now - r.since))
+        return AgentReport(self._numbers[agent], reason, lasting, facts, unknown, holder, held)
 
     def read(self, host: str, report: Report, now: float) -> News:
         """The news of a host. Raises WireError for what that host cannot say."""
@@ -72,7 +73,8 @@ class Reports:
             value = _value(agent, attribute, fact.value)
             samples[attribute.name] = Sample(value, now - fact.age, now, fact.kept)
         unknown = {self._attribute(agent, place).name: why for place, why in told.unknown}
-        return Condition(trouble, samples, unknown)
+        reserved = Reserved(told.holder, now - told.held) if told.holder else None
+        return Condition(trouble, samples, unknown, reserved)
 
     def _attribute(self, agent: str, place: int) -> Attribute:
         live = self._live[agent]

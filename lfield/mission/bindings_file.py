@@ -4,6 +4,7 @@
 agents:
   alpha:                                   # an agent of the deployment
     heap: 2 MiB                            # limits of this agent
+    reserved_wait: 2                       # seconds that others wait for it while it is reserved
     devices:
       fc:
         driver: mavlink
@@ -21,6 +22,8 @@ unreachable_after: 10                      # seconds until UnreachableResourceEx
 silence: 0.2                               # seconds without the host before its devices go safe (fakes: 2)
 recovery: {lease: 2, members: [a, b, c]}   # of coordinators that call heartbeatInterval: who
                                            # decides that one is lost, and the seconds it may run unheard
+reservations: {lease: 6, wait: 5}          # seconds that a `reserve` lasts without a sign of its holder,
+                                           # and that others wait for what is reserved
 ```
 
 The keys of a device that every driver has are `driver`, `endpoint`, `ttl`, `safe_state`, `rest_within`,
@@ -32,6 +35,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Collection, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from lfield.driver.binding import LEAST_AFTER, DeviceBinding, OptionValue, WithoutPolicy
@@ -41,14 +45,20 @@ from lfield.errors import BindingError
 from lfield.guard.core import SILENCE
 from lfield.mission.bindings import (
     LONGEST_LEASE,
+    LONGEST_RESERVATION,
+    LONGEST_RESERVED_WAIT,
     MAX_HEAP,
     MIN_HEAP,
     MOST_MEMBERS,
     SHORTEST_LEASE,
+    SHORTEST_RESERVATION,
     USUAL_LEASE,
+    USUAL_RESERVATION,
+    USUAL_RESERVED_WAIT,
     Bindings,
     Needed,
     Recovery,
+    ReservationTimes,
     each_needed,
     maker_of,
     on_fakes,
@@ -139,6 +149,8 @@ class BindingsReader:
         unreachable_after = top.number("unreachable_after", 10.0, minimum=0.1, maximum=86400.0)
         silence = top.number("silence", SILENCE, minimum=0.1, maximum=10.0)
         recovery = self._recovery(top.section("recovery"), silence)
+        reservations = _reservations(top.section("reservations"))
+        waits: dict[str, float] = {}
         agents: dict[str, Limits] = {}
         devices: dict[str, dict[str, DeviceBinding]] = {}
         for entry, fields in top.section("agents").entries():
@@ -147,10 +159,20 @@ class BindingsReader:
                 fields.report("Y113", f"the deployment has no agent '{entry.key}'", entry.key_span, hint)
                 continue
             agents[entry.key] = self._limits(fields, defaults)
+            if "reserved_wait" in fields:
+                waits[entry.key] = _reserved_wait(fields, "reserved_wait", reservations.wait)
             devices[entry.key] = dict(self._devices(entry.key, fields))
             fields.done()
         top.done()
-        return Bindings(agents, devices, defaults, unreachable_after, silence, recovery)
+        return Bindings(
+            agents,
+            devices,
+            defaults,
+            unreachable_after,
+            silence,
+            recovery,
+            replace(reservations, waits=waits),
+        )
 
     def _recovery(self, fields: Fields, silence: float) -> Recovery:
         lease = fields.number("lease", USUAL_LEASE, minimum=SHORTEST_LEASE, maximum=LONGEST_LEASE)
@@ -305,6 +327,19 @@ class BindingsReader:
             return fields.number(option.name, minimum=option.minimum, maximum=option.maximum)
         lowest, highest = max(option.minimum, -(2.0**63)), min(option.maximum, 2.0**62)
         return fields.integer(option.name, minimum=int(lowest), maximum=int(highest))
+
+
+def _reservations(fields: Fields) -> ReservationTimes:
+    lease = fields.number(
+        "lease", USUAL_RESERVATION, minimum=SHORTEST_RESERVATION, maximum=LONGEST_RESERVATION
+    )
+    wait = _reserved_wait(fields, "wait", USUAL_RESERVED_WAIT)
+    fields.done()
+    return ReservationTimes(lease, wait)
+
+
+def _reserved_wait(fields: Fields, key: str, usual: float) -> float:
+    return fields.number(key, usual, minimum=0.0, maximum=LONGEST_RESERVED_WAIT)
 
 
 def _is_empty(node: Node | None) -> bool:

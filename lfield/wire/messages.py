@@ -15,7 +15,7 @@ from typing import Annotated, Literal
 from msgspec import Meta, Struct
 
 from lfield.wire.coordinators import Accepted, Ended, EndedAck, Inquire, Known, Refused
-from lfield.wire.fields import Age, Count, Hash, Index, Label, Name, Text
+from lfield.wire.fields import Age, Count, Hash, Index, Label, MaybeName, Name, Text
 from lfield.wire.observing import (
     EmergencyStop,
     EmergencyStopped,
@@ -28,9 +28,10 @@ from lfield.wire.observing import (
     StatusRequest,
 )
 from lfield.wire.quorum import QuorumMessage
+from lfield.wire.reservations import ReservationMessage
 
 #: The version of everything in this package. Hosts of different versions do not talk.
-PROTOCOL = 5
+PROTOCOL = 6
 
 #: What a peer is: one of the team, or somebody who looks at it (`lfield ps`).
 Role = Literal["host", "observer"]
@@ -45,7 +46,7 @@ class Hello(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
     observer (`lfield ps`) may leave them empty, and a program that names no capability has no registry.
     `devices` says what those of its team are, '' where it has none.
     `max_block` is the largest block this host takes, in bytes. `recovery` says in words who decides that a
-    coordinator is lost; '' where none is recovered.
+    coordinator is lost; '' where none is recovered. `reservation` is how long one lasts unheard, in seconds.
     """
 
     role: Role
@@ -59,6 +60,7 @@ class Hello(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
     devices: Literal["", "fakes", "hardware"] = ""
     memory: Count = 0
     recovery: Text = ""
+    reservation: Age = 0.0
 
     @property
     def remembers(self) -> int:
@@ -112,7 +114,8 @@ class AgentReport(Struct, frozen=True, array_like=True, forbid_unknown_fields=Tr
     """What has changed about one agent; `agent` is its place in the deployment.
 
     `trouble` is why it cannot be called, '' when it can, and `lasting` for how many seconds already, where
-    that is told. `unknown` are live attributes that have no value, each with the reason.
+    that is told. `unknown` are live attributes that have no value, each with the reason. `holder` is the
+    coordinator that has reserved it, '' for none, and `held` for how many seconds already.
     """
 
     agent: Index
@@ -120,6 +123,8 @@ class AgentReport(Struct, frozen=True, array_like=True, forbid_unknown_fields=Tr
     lasting: Age | None
     facts: Annotated[list[FactReport], Meta(max_length=1024)]
     unknown: Annotated[list[tuple[Index, Label]], Meta(max_length=1024)]
+    holder: MaybeName = ""
+    held: Age = 0.0
 
 
 class Report(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=12):
@@ -177,6 +182,7 @@ Control = (
     | Heard
     | Room
     | QuorumMessage
+    | ReservationMessage
 )
 
 #: Every message without a block.

@@ -28,6 +28,7 @@ SMALL = {
     "lfield/host/inits.py": "who waits for an init",
     "lfield/text/visible.py": "what may reach a terminal",
     "lfield/wire/fields.py": "types of fields, a table",
+    "lfield/wire/reservations.py": "what is said of reservations, all of it",
     "drivers/lfield_mavlink/geo.py": "places and vectors, for all rooms of the driver",
     "lfield/capability/matching/matcher.py": "the face of matching",
     "lfield/capability/ways.py": "names that compiler and machine share",

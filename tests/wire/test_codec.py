@@ -36,11 +36,13 @@ from lfield.wire.observing import (
     JournalStatus,
     LinkStatus,
     ParkedStatus,
+    ReservedStatus,
     Status,
     StatusRequest,
     Told,
     ToldFact,
 )
+from lfield.wire.reservations import Release, Renew
 
 HASH = b"h" * 32
 REPEATABLE = settings(derandomize=True, deadline=None)
@@ -80,6 +82,7 @@ MESSAGES = [
     STATUS,
     status(devices=[DeviceStatus("one.fc", {}, None, "why")], links=[LinkStatus("b", 2.5)]),
     status(journal=JournalStatus(3, "full", [ParkedStatus("one", 1, 2, HASH, "PREPARED", "b")])),
+    status(reserved=[ReservedStatus("arm", "Tour:one", 2, 12.5, 3.5)]),
     status(begun=[BegunStatus("Tour:one", 2, "arm", "lift", "running")]),
     Forget("Tour:one"),
     Forgotten([1, 3]),
@@ -87,6 +90,9 @@ MESSAGES = [
     Pong(1),
     Report(1, 0, 1, [AgentReport(3, "fc: not heard", 3.5, [FactReport(0, 0.75, 0.5, True)], [(1, "…")])]),
     Report(2**63 - 1, 6, 7, [AgentReport(0, "", None, [], [])]),
+    Report(1, 0, 1, [AgentReport(3, "", None, [], [], "pilot", 12.5)]),
+    Renew("arm", 2**62, "Tour:one", 3),
+    Release("arm", 7),
 ]
 
 
@@ -130,7 +136,7 @@ def test_the_largest_transfer_header_fits():
 
 def test_the_start_of_a_greeting_never_changes():
     kind, payload = parts(encode(HELLO_MESSAGE))
-    assert (kind, payload[:6]) == (HELLO, b"lfld\x00\x05")
+    assert (kind, payload[:6]) == (HELLO, b"lfld\x00\x06")
     assert parts(encode(Refuse("no"))) == (REFUSE, b"no")
 
 
@@ -150,8 +156,8 @@ def checked(start: bytes, body: bytes) -> bytes:
         (HELLO, b"", "too short"),
         (HELLO, b"lfl", "too short"),
         (HELLO, b"http/1", "does not begin with 'lfld'"),
-        (HELLO, b"lfld\x00\x05", "too short to have a checksum"),
-        (HELLO, b"lfld\x00\x05" + bytes(8), "was damaged"),
+        (HELLO, b"lfld\x00\x06", "too short to have a checksum"),
+        (HELLO, b"lfld\x00\x06" + bytes(8), "was damaged"),
         (CONTROL, b"", "too short to have a checksum"),
         (CONTROL, b"\x92\x08\x01", "too short to have a checksum"),
         (CONTROL, bytes(4), "was damaged"),
@@ -169,7 +175,7 @@ def test_garbage_is_a_wire_error(kind, payload, words):
 @pytest.mark.parametrize(
     ("kind", "start", "body"),
     [
-        (HELLO, b"lfld\x00\x05", b""),
+        (HELLO, b"lfld\x00\x06", b""),
         (CONTROL, b"", b""),
         (CONTROL, b"", b"\xc1"),
         (CONTROL, b"", b"\x92\x63\x01"),
@@ -199,6 +205,16 @@ def test_what_fits_its_checksum_and_is_no_message_is_a_wire_error(kind, start, b
         Hello("host", "a", 1, b"h" * 33),
         Hello("king", "a", 1),
         Hello("host", "a", 1, coordinators=[Known("Tour:one", 1, 1, 1, "RUN")] * 4097),
+        Renew("", 1, "Tour:one", 1),
+        Renew("arm", -1, "Tour:one", 1),
+        Renew("arm", 1, "Tour:one", 2**63),
+        Release("x" * (MAX_NAME + 1), 1),
+        Release("arm", -1),
+        Report(1, 0, 1, [AgentReport(3, "", None, [], [], "x" * (MAX_NAME + 1), 1.0)]),
+        Report(1, 0, 1, [AgentReport(3, "", None, [], [], "pilot", -1.0)]),
+        status(reserved=[ReservedStatus("arm", "", 2, 12.5, 3.5)]),
+        status(reserved=[ReservedStatus("arm", "pilot", 2, math.nan, 3.5)]),
+        Hello("host", "a", 1, reservation=-1.0),
         report(agent=-1),
         report(agent=2**16),
         report(since=-1),

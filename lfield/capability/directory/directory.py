@@ -73,13 +73,15 @@ class _Shown:
     candidate: Candidate
     condition: Condition
     away: float | None
+    own: bool
     until: float
 
 
 class Directory:
     """The agents of a mission as the host `here` knows them; `life` tells this run of it from the next.
 
-    Implements `offer.Team`. Only agents whose type is a provider of the registry are in it.
+    Implements `offer.Team`. Only agents whose type is a provider of the registry are in it. What somebody has
+    reserved can be called by nobody but its holder: `asker` is the coordinator that asks, '' for nobody.
     """
 
     def __init__(
@@ -101,6 +103,7 @@ class Directory:
             for id in self._agents
         }
         self._live = {agent.id: live_attributes(registry, agent) for agent in self._agents.values()}
+        self.asker = ""
         self._own: dict[str, Condition] = {}
         self._shown: dict[str, _Shown] = {}
         self._announcer = Announcer(registry.attributes, life)
@@ -178,12 +181,16 @@ class Directory:
         here = agent.host == self._here
         condition = self._own.get(agent.id, SILENCE) if here else self._told(agent)
         away = None if here else self._links.away.get(agent.host)
+        own = condition.reserved is not None and condition.reserved.holder == self.asker
         shown = self._shown.get(agent.id)
-        if shown is None or now >= shown.until or shown.condition is not condition or shown.away != away:
-            shown = self._shown[agent.id] = self._show(agent, condition, away, now)
+        same = shown is not None and shown.condition is condition and (shown.away, shown.own) == (away, own)
+        if shown is None or not same or now >= shown.until:
+            shown = self._shown[agent.id] = self._show(agent, condition, away, now, own=own)
         return shown.candidate
 
-    def _show(self, agent: Deployed, condition: Condition, away: float | None, now: float) -> _Shown:
+    def _show(
+        self, agent: Deployed, condition: Condition, away: float | None, now: float, *, own: bool
+    ) -> _Shown:
         facts, unknown, live = self._values[agent.id], condition.unknown, self._live[agent.id]
         trouble = condition.trouble if away is None else Trouble("unreachable", away)
         if live:
@@ -195,10 +202,11 @@ class Directory:
             if len(condition.samples) + len(unknown) < len(live):
                 untold = (name for name in live if name not in facts and name not in unknown)
                 unknown = {**{name: f"{agent.host} has not told {name} yet" for name in untold}, **unknown}
-        refusal = trouble.sentence(now) if trouble else ""
+        why = trouble or (None if own else condition.reserved)
+        refusal = why.sentence(now) if why else ""
         hops = 0 if agent.host == self._here else 1
         candidate = Candidate(agent.id, agent.type, agent.host, hops, refusal, facts, unknown)
-        return _Shown(candidate, condition, away, now + MOMENT if live or trouble else math.inf)
+        return _Shown(candidate, condition, away, own, now + MOMENT if live or why else math.inf)
 
     def _told(self, agent: Deployed) -> Condition:
         return self._remotes[agent.host].conditions.get(agent.id, SILENCE)
