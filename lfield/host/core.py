@@ -16,6 +16,7 @@ from lfield.host.effects import CHANGED, Call, Complain, Effect, Nearby, Reach, 
 from lfield.host.inits import Inits
 from lfield.host.offers import Offers
 from lfield.host.team import words
+from lfield.host.team.absent import Absent
 from lfield.host.team.beginning import Beginning
 from lfield.host.team.begun import BegunPages
 from lfield.host.team.commands import Commands
@@ -96,7 +97,8 @@ class HostCore:
         self._policies = Policies(mission.devices_of(name))
         self._commands = Commands(machine, nearby, leases, self._policies, clock, self._out)
         offers = Offers(self.directory, mission)
-        self.world.join(team, leases, self._begun, self.reserving, self._commands, offers)
+        absent = Absent(nearby, self.hearsay, clock, unreachable_after)
+        self.world.join(team, leases, self._begun, self.reserving, self._commands, offers, absent)
         self._own = [member.id for member in self.team.on(self.here) if member.kind == "coordinator"]
         others = [host for host in self.team.hosts if host != name]
         self._beginning = Beginning(self._own, others, team, leases, self._say, kept=bool(memory))

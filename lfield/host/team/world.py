@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 from lfield.bytecode.program import DeviceCall
 from lfield.host.effects import CHANGED, Died, Effect, Say, Write
 from lfield.host.offers import Offers
+from lfield.host.team.absent import Absent
 from lfield.host.team.begun import BegunPages
 from lfield.host.team.commands import Commands
 from lfield.host.team.coordinators import Coordinators
@@ -35,6 +36,7 @@ class HostWorld:
         self._reserving: Reserving
         self._commands: Commands
         self._offers: Offers
+        self._absent: Absent
 
     def join(
         self,
@@ -44,10 +46,11 @@ class HostWorld:
         reserving: Reserving,
         commands: Commands,
         offers: Offers,
+        absent: Absent,
     ) -> None:
         """The parts that answer."""
         self._coordinators, self._leases, self._begun = coordinators, leases, begun
-        self._reserving, self._commands, self._offers = reserving, commands, offers
+        self._reserving, self._commands, self._offers, self._absent = reserving, commands, offers, absent
 
     def write(self, agent: Agent, text: str) -> None:
         """Program output."""
@@ -104,7 +107,7 @@ class HostWorld:
     def depart(self, agent: Agent, resource: Member) -> None:
         """A frozen coordinator wants to the host of a resource."""
         self._reach(self._team.hosts[resource.host])
-        self._coordinators.depart(agent, resource)
+        self._coordinators.depart(agent, resource, self._absent)
         self._begun.leaves(agent)
 
     def device(
