@@ -18,6 +18,7 @@ from lfield.bytecode.program import (
     FINALLY,
     LANDING,
     LIMIT,
+    RESERVED,
     TICKET,
     Handler,
     MethodDebug,
@@ -111,6 +112,8 @@ class _MethodListing:
     def _handling(self, handler: Handler) -> str:
         if handler.kind == LIMIT:
             return f"limit ^{handler.slot}"
+        if handler.kind == RESERVED:
+            return f"reserved ^{handler.slot}"
         if handler.kind == LANDING:
             return "landing"
         caught = self._program.core.classes[handler.catches].name

@@ -300,6 +300,30 @@ TABLE: tuple[Opcode, ...] = (
         "T",
         True,
     ),
+    # reservations
+    _head(
+        1700,
+        "hold",
+        "ref->ref",
+        "The resources that a proxy, an offer or an array of them leads to, as an array of ints: of each its "
+        "number in the team, and 0.",
+        exits=True,
+    ),
+    _head(
+        1701,
+        "take",
+        "array",
+        "Goes to the hosts of these resources and has each reserved: the number of that instead of the 0; "
+        "ReservedException.",
+        exits=True,
+    ),
+    _head(
+        1702,
+        "drop",
+        "array",
+        "Gives these resources back, without waiting: 0 instead of the numbers.",
+        exits=True,
+    ),
 )
 
 BY_CODE: dict[int, Opcode] = {row.code: row for row in TABLE}

@@ -35,6 +35,7 @@ _SECTIONS = {
     1400: "Exceptions",
     1500: "Devices",
     1600: "Parallel work and time limits",
+    1700: "Reservations",
 }
 
 

@@ -26,6 +26,7 @@ from lfield.lang.tree import (
     Local,
     LocalGet,
     Loop,
+    Reserve,
     Return,
     Stmt,
     Throw,
@@ -92,6 +93,9 @@ class Statements:
             case Within():
                 self._prepare(stmt.seconds)
                 self._parallel.within(stmt, lambda: self.block(stmt.body))
+            case Reserve():
+                self._prepare(stmt.who)
+                self._parallel.reserve(stmt, lambda: self.block(stmt.body))
             case Begin():
                 self._prepare(*values(stmt))
                 self._parallel.begin(stmt)

@@ -1,9 +1,14 @@
-"""`together`: its calls are collected, begun and fetched as one; `within`: what follows has an end in time.
+"""`together`: its calls are collected, begun and fetched as one. `within`: what follows has an end in time.
+`reserve`: nobody else is served by what it keeps.
 
     gather; pop ^sentinel          then the body, in which `begin` collects a call
     start                          before what does more than compute: all that is collected begins
     fetch                          at the end of the block: all are back, their results where they belong
     leave                          on every other way out, as the code of a `finally`
+
+    hold; pop ^kept                what a `reserve` keeps
+    take                           and then its body
+    drop                           on every way out, as the code of a `finally`
 
 A call's result goes to an element of an array. A local that takes one has an array of length 1 beside it, and
 gets its element behind the block.
@@ -14,12 +19,12 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from lfield.bytecode.program import INT, LIMIT, Handler
+from lfield.bytecode.program import INT, LIMIT, RESERVED, Handler
 from lfield.compiler.begun.twins import Settle
 from lfield.compiler.calls import Calls
 from lfield.compiler.frame import Evaluator, Frame, Label
 from lfield.compiler.leaving import Guard, Ways
-from lfield.lang import chains, tree
+from lfield.lang import chains, tree, types
 from lfield.lang.tree import (
     Begin,
     Break,
@@ -165,7 +170,7 @@ class Parallel:
     def _works(self, stmt: Stmt, gathering: _Gathering) -> bool:
         work, guard = self._frame.tables.work, gathering.guard
         match stmt:
-            case tree.Together() | tree.Within() | Try() | Throw():
+            case tree.Together() | tree.Within() | tree.Reserve() | Try() | Throw():
                 return True
             case Return():
                 return guard is not None or (stmt.value is not None and work.inside(stmt.value))
@@ -201,6 +206,23 @@ class Parallel:
         if start < code.position:
             frame.handlers.append(Handler(start, code.position, 0, 0, end, LIMIT))
         frame.slots.release(end)
+
+    # --- reserve --------------------------------------------------------------------------------------
+
+    def reserve(self, stmt: tree.Reserve, block: Callable[[], None]) -> None:
+        """A whole `reserve`; `block` compiles its body. Where it takes is inside: it may have a part then."""
+        frame, code = self._frame, self._frame.code
+        who = self._evaluator.operand(stmt.who)
+        kept = frame.slots.temporary(frame.tables.type_index(array_of(types.INT)))
+        self._calls.push("hold", [who])
+        code.emit("pop", kept)
+        frame.slots.release(who)
+        guard = self._ways.open()
+        self._calls.push("take", [kept])
+        self.apart(block)
+        frame.handlers.append(Handler(guard.start, code.position, 0, 0, kept, RESERVED))
+        self._ways.close(guard, lambda: self._calls.push("drop", [kept]), through=True)
+        frame.slots.release(kept)
 
 
 def _taking(body: Sequence[Stmt]) -> list[Local]:

@@ -119,6 +119,8 @@ def values(one: tree.Stmt) -> list[tree.Expr]:
             return [one.condition]
         case tree.Within():
             return [one.seconds]
+        case tree.Reserve():
+            return [one.who]
         case tree.Begin():
             return [one.call] if one.target is None else [one.call, one.target]
     return []
@@ -127,7 +129,7 @@ def values(one: tree.Stmt) -> list[tree.Expr]:
 def bodies(one: tree.Stmt) -> list[list[tree.Stmt]]:
     """The bodies directly in a statement; those of its `catch` clauses are among them."""
     match one:
-        case tree.Block() | tree.Together() | tree.Within():
+        case tree.Block() | tree.Together() | tree.Within() | tree.Reserve():
             return [one.body]
         case tree.If():
             return [one.then, one.otherwise]

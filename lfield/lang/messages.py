@@ -2,7 +2,8 @@
 
 Every diagnostic of the front end is made by `Message.at`, so codes, wording and documentation cannot drift
 apart. L1xx lexical, L2xx syntax, L3xx names and declarations, L4xx types, L5xx scope rules (chapters III and
-IV), L6xx files, L7xx deployments, L8xx together and within, L9xx warnings. A hint says what to do instead.
+IV), L6xx files, L7xx deployments, L8xx together, within and reserve, L9xx warnings. A hint says what to do
+instead.
 """
 
 from __future__ import annotations
@@ -399,7 +400,7 @@ DEPLOY_WITNESS = _message(
     "L715", "{host} is on line {line} already", "a line without an agent is for a host that has no other line"
 )
 
-# --- L8xx: together and within --------------------------------------------------------------------------
+# --- L8xx: together, within and reserve -----------------------------------------------------------------
 
 COORDINATOR_WORD = _message(
     "L801",
@@ -456,6 +457,16 @@ TOGETHER_TYPE = _message(
 )
 WITHIN_OVER = _message(
     "L812", "a within lasts more than 0 seconds, this is {given}", "write within (30) {{ ... }}"
+)
+RESERVE_TYPE = _message(
+    "L813",
+    "a reserve keeps a resource, an offer, or an array of them, and this is {given}",
+    "write reserve (arm) {{ ... }} or reserve (offers[0]) {{ ... }}",
+)
+RESERVE_INSIDE = _message(
+    "L814",
+    "a reserve stands inside a together, whose calls begin and end without regard to it",
+    "put the reserve around the together",
 )
 
 # --- L9xx: warnings -------------------------------------------------------------------------------------

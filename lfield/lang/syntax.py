@@ -279,6 +279,14 @@ class Within(Stmt):
     body: Stmt
 
 
+@dataclass(slots=True, eq=False)
+class Reserve(Stmt):
+    """`reserve (who) body`; `span` is the word."""
+
+    who: Expr
+    body: Stmt
+
+
 # --- declarations -------------------------------------------------------------------------------------
 
 

@@ -393,6 +393,14 @@ class Within(Stmt):
 
 
 @dataclass(slots=True, eq=False)
+class Reserve(Stmt):
+    """A body during which nobody else is served by `who`: a proxy, an offer, or an array of them."""
+
+    who: Expr
+    body: list[Stmt]
+
+
+@dataclass(slots=True, eq=False)
 class Block(Stmt):
     """Statements with a scope of their own."""
 

@@ -29,6 +29,7 @@ from lfield.vm.memory.soundness import Soundness
 from lfield.vm.memory.threads import place_of
 from lfield.vm.memory.values import word_for
 from lfield.vm.outside import Outsiders
+from lfield.vm.reserve.heads import Reserving
 from lfield.vm.reserve.held import Held
 from lfield.vm.scheduler import Scheduler
 from lfield.vm.together.calls import BegunCalls
@@ -81,13 +82,14 @@ class Machine:
         self.begun_calls, self.fetched, self.kept_result = begun.calls, begun.fetched, begun.kept
         self.restore_begun, self.forget_begun = begun.restore, begun.forget
         self.cancel_begun, self.end_begun = begun.cancel, begun.end
+        held = Held(program, team)
         #: What a coordinator that is here has reserved: each resource with its number.
-        self.held = Held(program, team).of
-        self._visits = Visits(scheduler, team, here)
+        self.held = held.of
+        self._visits = Visits(scheduler, team, here, held)
         self._limits = TimeLimits(scheduler, cancelling, self._visits, self._begun.stop_waiting)
-        self._together = Together(scheduler, self._visits, cancelling, self._limits)
-        heads = self._together.heads()
-        self._outsiders = Outsiders(scheduler, team, here, dice, cancelling, self._limits, heads)
+        self._together = Together(scheduler, self._visits, held, cancelling, self._limits)
+        heads = {**self._together.heads(), **Reserving(scheduler, held, here).heads()}
+        self._outsiders = Outsiders(scheduler, team, here, dice, cancelling, self._limits, held, heads)
 
     # --- agents come and go ---------------------------------------------------------------------------
 
@@ -166,7 +168,8 @@ class Machine:
     def calling(self, agent: Agent) -> tuple[Member, str] | None:
         """The resource and the portal that a frozen coordinator stands at; None when its proxy is null.
 
-        Of a `together` it is the first call that it wants to begin, or to fetch where it wants to be.
+        Of a `together` it is the first call that it wants to begin, or to fetch where it wants to be. The
+        portal is '' where it wants to reserve the resource.
         """
         return self._visits.calling(agent)
 
@@ -179,16 +182,17 @@ class Machine:
     ) -> None:
         """Let a frozen coordinator go on with an exception in the statement that called the portal.
 
-        In a `together` it is that of the calls which cannot begin or be fetched; a RestartException is the
-        coordinator's own and is thrown at once, unless it is leaving the block already. Who is `recovered`
-        may have done more, also after its time was over or after the block: it is told before anything else.
+        In a `together` it is that of the calls which cannot begin or be fetched, a ReservedException that of
+        the calls of `source` alone; a RestartException is the coordinator's own and is thrown at once, unless
+        it is leaving the block already. Who is `recovered` may have done more, also after its time was over
+        or after the block: it is told before anything else.
         """
         agent.frozen = False
         head = "" if recovered else self._visits.head(agent)
         if not recovered and self._limits.strike(agent, message):
             return
         if head == "leave" or (head and kind != "RestartException"):
-            self._together.failed(agent, _only_thread(agent), kind, message)
+            self._together.failed(agent, _only_thread(agent), kind, message, source)
         else:
             self.refuse(agent, _only_thread(agent), kind, message, source)
 
@@ -210,8 +214,8 @@ class Machine:
     def goes_on(self, agent: Agent) -> bool:
         """Whether a frozen coordinator that was restored may `go` where it stands, by the same generation.
 
-        It may when it is at its `together` only to fetch or to leave: nothing it did there is unknown. Else
-        it must be told by `resume` (RestartException) that its call may have begun.
+        It may when it is at its `together` only to fetch or to leave, or at a `reserve`: nothing it did there
+        is unknown. Else it must be told by `resume` (RestartException) that its call may have begun.
         """
         return self._visits.goes_on(agent)
 

@@ -21,6 +21,7 @@ from lfield.vm.memory.layout import PARKED, PROXY_MEMBER, WAITING
 from lfield.vm.memory.threads import place_of, still_image
 from lfield.vm.memory.values import plain, real_of, real_text, word_for, word_of
 from lfield.vm.offers import Shapes, UnknownWay, write_offers
+from lfield.vm.reserve.held import Held
 from lfield.vm.scheduler import Scheduler
 from lfield.vm.world import Pending
 
@@ -43,10 +44,11 @@ class Outsiders:
         dice: random.Random,
         cancelling: Cancelling,
         limits: TimeLimits,
-        together: Mapping[str, Handler],
+        held: Held,
+        blocks: Mapping[str, Handler],
     ) -> None:
         self._scheduler, self._team, self._here, self._dice = scheduler, team, here, dice
-        self._cancelling, self._limits = cancelling, limits
+        self._cancelling, self._limits, self._held = cancelling, limits, held
         self._shapes = Shapes(scheduler.program)
         kinds: dict[str, Handler] = {
             "pcall": self._pcall,
@@ -63,7 +65,7 @@ class Outsiders:
             "host": self._host,
             "device": self._device,
             "limit": self._limit,
-            **together,
+            **blocks,
         }
         self._by_code: dict[int, Handler] = {
             row.code: kinds.get(row.name) or self._output(row.name) for row in BY_CODE.values() if row.exits
@@ -182,7 +184,8 @@ class Outsiders:
     def _pcall(self, agent: Agent, thread: int, operand: int, words: list[int]) -> None:
         member = self._behind(agent, words[0])
         if member.host == self._here:
-            portals.call(self._scheduler, member, agent, thread, operand, words)
+            number = self._held.number(agent, member)
+            portals.call(self._scheduler, member, agent, thread, operand, words, number)
             return
         self._scheduler.freeze(agent, thread)
         self._scheduler.world.depart(agent, member)

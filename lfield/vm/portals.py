@@ -31,9 +31,18 @@ _RESTARTED = (
 
 
 def call(
-    scheduler: Scheduler, member: Member, caller: Agent, thread: int, method: int, words: list[int]
+    scheduler: Scheduler,
+    member: Member,
+    caller: Agent,
+    thread: int,
+    method: int,
+    words: list[int],
+    reservation: int,
 ) -> None:
-    """A `pcall` to a resource of this host, whose proxy is the first word: begin its portal."""
+    """A `pcall` to a resource of this host, whose proxy is the first word: begin its portal.
+
+    `reservation` is the number by which the caller has reserved it, 0 when it has not.
+    """
     try:
         resource = called(scheduler, member, caller, words[0])
     except Trap as trap:
@@ -43,14 +52,25 @@ def call(
     if not resource.open:
         resource.waiting.append((caller, thread))
         return
-    if not _may_begin(scheduler, caller, method in scheduler.acting):
-        return
     try:
+        if not serves(scheduler, resource, caller, reservation):
+            return
+        if not _may_begin(scheduler, caller, method in scheduler.acting):
+            return
         served = begin(scheduler, resource, caller, (caller, thread), method, words)
     except Trap as trap:
         scheduler.refuse(caller, thread, trap.kind, trap.message, member.id)
         return
     serve(scheduler, resource, served, method, scheduler.turns.next)
+
+
+def living(scheduler: Scheduler, member: Member) -> Agent:
+    """A resource of this host; raises Trap when it is gone."""
+    resource = scheduler.agents.get(member.id)
+    if resource is None or resource.ended:
+        why = f"it died of {resource.report.splitlines()[0]}" if resource else "its host does not run it"
+        raise Trap("UnreachableResourceException", f"{member.id} is gone: {why}")
+    return resource
 
 
 def called(scheduler: Scheduler, member: Member, caller: Agent, proxy: int) -> Agent:
@@ -59,10 +79,7 @@ def called(scheduler: Scheduler, member: Member, caller: Agent, proxy: int) -> A
     An older copy than the newest that the resource has served is refused. A proxy that was called in another
     life of this host is told first, by an exception: the fields of its resource are lost.
     """
-    resource = scheduler.agents.get(member.id)
-    if resource is None or resource.ended:
-        why = f"it died of {resource.report.splitlines()[0]}" if resource else "its host does not run it"
-        raise Trap("UnreachableResourceException", f"{member.id} is gone: {why}")
+    resource = living(scheduler, member)
     w, start = caller.block.w, proxy + PROXY_START
     copy = w[W_GENERATION], w[W_SEQUENCE]
     if copy < resource.callers.get(caller.id, copy) and (why := _outdated(scheduler, resource, caller, copy)):
@@ -83,6 +100,25 @@ def _outdated(scheduler: Scheduler, resource: Agent, caller: Agent, copy: tuple[
     else:
         what = "start"
     return f"a later {what} of {caller.id} has called {resource.id}: this one is not served any more"
+
+
+def serves(scheduler: Scheduler, resource: Agent, caller: Agent, reservation: int) -> bool:
+    """Whether a reservation, the caller's or somebody else's, lets a portal begin; else its caller is frozen.
+
+    Raises Trap when it never will.
+    """
+    if not resource.reserved and not reservation:
+        return True
+    caller.frozen = True
+    try:
+        served = scheduler.world.serves(caller, resource.member, reservation)
+    except Trap:
+        caller.frozen = False
+        raise
+    if served:
+        # Else it is frozen, or may have been let go already.
+        caller.frozen = False
+    return served
 
 
 def _may_begin(scheduler: Scheduler, caller: Agent, acts: bool) -> bool:

@@ -1,4 +1,4 @@
-"""A program with `together`, `within` and `finally` that somebody has changed is refused, or does no harm.
+"""A program with `together`, `within`, `reserve`, `finally` that somebody has changed is refused or harmless.
 
 What the verifier lets through runs on a machine; after every round of it all blocks must be sound, and no
 agent may have ended by a bug of ours.
@@ -47,7 +47,10 @@ SOUND = compile_text(
         print(inner(arms));
       }
       private int inner(Arm[] arms) {
+        int[] other = new int[4];
+        other[0] = 1; other[2] = 7; other[3] = -1;
         while (true) {
+          reserve (arms) { reserve (arms[1]) { together { arms[1].lift(1.0); } } arms[0].lift(0.5); }
           together { arms[0].lift(2.0); arms[1].lift(3.0); if (arms.length() > 5) break; }
           within (1) { try { together { arms[0].lift(4.0); } } finally { print("in"); } }
           if (hops() == 0) return 3;
@@ -113,7 +116,7 @@ class Vandal:
         word = self.dice.choice(["start", "end", "target", "slot", "kind"])
         number = self.dice.randint(method.entry, method.end)
         if word == "kind":
-            rows[at] = Handler(rows[at].start, rows[at].end, 0, 0, rows[at].slot, self.dice.randrange(4))
+            rows[at] = Handler(rows[at].start, rows[at].end, 0, 0, rows[at].slot, self.dice.randrange(5))
         elif word == "slot":
             rows[at] = msgspec.structs.replace(rows[at], slot=self.dice.randrange(len(method.slots)))
         else:

@@ -1,4 +1,4 @@
-"""Parallel work, time limits and `finally`: a sound program, and each refusal of the verifier."""
+"""Parallel work, time limits, reservations, `finally`: a sound program, and each refusal of the verifier."""
 
 from __future__ import annotations
 
@@ -23,6 +23,7 @@ from lfield.bytecode.program import (
     LIMIT,
     OLDEST_BUILTINS,
     REAL,
+    RESERVED,
     TICKET,
     Core,
     FieldRecord,
@@ -51,6 +52,7 @@ SOUND = compile_text(
           together { got = arm.lift(1.0); arm.stop(); sleep(1.0); }
         }
         try { n = n + 1; } catch (Exception e) { n = e.others().length(); } finally { n = n + 2; }
+        reserve (new Arm[] {arm}) { arm.stop(); }
       }
     }
     """
@@ -172,6 +174,33 @@ NUMBER = _slot(INT)
     ],
 )
 def test_instructions(change: Change, reason: str) -> None:
+    refused(change, reason)
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        (_pushed("hold", 1, NUMBER), "not what is taken"),
+        (_pushed("hold", 1, _slot(INTS)), "not what is taken"),
+        (_pushed("hold", 1, NOTHING), "not what is taken"),
+        (_pushed("take", 1, _slot(REALS)), "not what is taken"),
+        (_pushed("drop", 1, NUMBER), "not what is taken"),
+        (
+            _quads(lambda q: q.__setitem__(_at(q, "hold") + 1, Quad(BY_NAME["pop"].code, NUMBER, 0, 0))),
+            "does not fit the slot",
+        ),
+        *(
+            (
+                _quads(
+                    lambda q, name=name: q.__setitem__(_at(q, "yield"), Quad(BY_NAME[name].code, 0, 0, 0))
+                ),
+                "only coordinators reserve",
+            )
+            for name in ("hold", "take", "drop")
+        ),
+    ],
+)
+def test_what_is_reserved(change: Change, reason: str) -> None:
     refused(change, reason)
 
 
@@ -313,6 +342,12 @@ def test_tickets_are_in_slots_of_coordinators_only(change: Change, reason: str) 
         (_row(FINALLY, target=0), "leads nowhere"),
         (_row(FINALLY, slot=NUMBER), "does not fit its slot"),
         (_row(LANDING, ARM_INIT, kind=LIMIT), "only coordinators have a time limit"),
+        (_row(LANDING, ARM_INIT, kind=RESERVED), "only coordinators have a time limit, or reserve"),
+        (_row(RESERVED, slot=NUMBER), "keeps is no int"),
+        (_row(RESERVED, slot=_slot(REALS)), "keeps is no int"),
+        (_row(RESERVED, slot=0), "slot 0 cannot be written"),
+        (_row(RESERVED, target=SOUND.core.methods[INIT].end - 1), "leads somewhere"),
+        (_row(RESERVED, catches=1), "leads somewhere"),
     ],
 )
 def test_rows(change: Change, reason: str) -> None:
@@ -325,6 +360,7 @@ def test_a_listing_says_what_rows_are_for() -> None:
         r"finally \^\d+ at L\d+",
         r"\d landing$",
         r"limit \^\d+$",
+        r"reserved \^\d+$",
         r"catch Exception",
         r"\^\d+ +ticket$",
     ):

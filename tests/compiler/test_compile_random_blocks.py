@@ -37,7 +37,7 @@ STEPS = [
 def blocks(step: st.SearchStrategy[str]) -> st.SearchStrategy[str]:
     """A statement with bodies of such steps."""
     body = st.lists(step, max_size=4).map(" ".join)
-    heads = ["together", "within (i + 1)", "while (i < 3)", "while (true)", "if (i < 3)"]
+    heads = ["together", "within (i + 1)", "reserve (arm)", "while (i < 3)", "while (true)", "if (i < 3)"]
     one = st.tuples(st.sampled_from(heads), body).map(lambda parts: f"{parts[0]} {{ {parts[1]} }}")
     handled = st.sampled_from(["", "NullException", "TimeLimitException", "Exception"])
     attempt = st.tuples(body, handled, body, st.none() | body).map(lambda parts: tried(*parts))
@@ -80,6 +80,7 @@ def test_bodies_of_every_kind_check() -> None:
         "together { arm.go(); x = arm.lift(1); a[i] = arm.lift(2); }",
         "while (true) { together { arm.go(); try { break; } finally { sleep(1); } } }",
         tried("arm.go();", "Exception", "return;", "if (i < 3) { break; } continue; return;"),
+        "reserve (arm) { while (true) { together { arm.go(); if (i < 3) break; } } }",
         "within (i + 1) { try { arm.go(); } catch (NullException e) { } finally { together { arm.go(); } } }",
     ):
         checked = check_text(whole(body))

@@ -1,4 +1,4 @@
-"""Random nests of try, catch, finally, together, within and loops are left as a few lines of Python do.
+"""Random nests of try, catch, finally, together, within, reserve, loops are left as a few lines of Python do.
 
 `tick()` is true every third time, so that exits are taken now and then, on the second round of a loop too.
 """
@@ -104,15 +104,31 @@ def _parallel(level: int, body: Step) -> Step:
     return Step(f"try together {{ arm.work({level}); {body.text} }} finally {{ told({level}); }}", run)
 
 
+def _reserved(body: Step) -> Callable[[Life], Way]:
+    """What it keeps is called by its number, and says that nothing works."""
+
+    def run(life: Life) -> Way:
+        life.trace.append("0")
+        return body.run(life)
+
+    return run
+
+
 _CLASSES = ("NullException", "IndexException")
 
 
 @st.composite
-def steps(draw: st.DrawFn, depth: int, loops: int = 0, last: int | None = None) -> Step:
-    """A statement of at most `depth` levels, in so many loops: `last` around the innermost finally."""
+def steps(
+    draw: st.DrawFn, depth: int, loops: int = 0, last: int | None = None, parallel: bool = False
+) -> Step:
+    """A statement of at most `depth` levels, in so many loops: `last` around the innermost finally.
+
+    `parallel`: it stands in a together.
+    """
     kinds = ["said", "throw", "own", *(["return"] if last is None else [])]
     kinds += ["break", "continue"] if loops > (last or 0) else []
     deep = ["try", "try", "try", "loop", "maybe", "block", "within", "together"] if depth else []
+    deep += ["reserve"] if depth and not parallel else []
     kind = draw(st.sampled_from(deep or kinds) if draw(st.booleans()) else st.sampled_from(kinds))
     if kind == "said":
         return _said(draw(st.integers(0, 99)))
@@ -127,19 +143,22 @@ def steps(draw: st.DrawFn, depth: int, loops: int = 0, last: int | None = None) 
     if kind in ("break", "continue"):
         return _maybe(_leaving(f"{kind};", kind))
     if kind == "loop":
-        return _loop("ijklmn"[loops], draw(steps(depth - 1, loops + 1, last)))
-    inner = [draw(steps(depth - 1, loops, last)) for _ in range(draw(st.integers(1, 3)))]
+        return _loop("ijklmn"[loops], draw(steps(depth - 1, loops + 1, last, parallel)))
+    parallel = parallel or kind == "together"
+    inner = [draw(steps(depth - 1, loops, last, parallel)) for _ in range(draw(st.integers(1, 3)))]
     if kind == "maybe":
         return _maybe(_block(inner))
     if kind == "block":
         return _block(inner)
     if kind == "within":
         return Step(f"within (9999) {{ {_block(inner).text} }}", _block(inner).run)
+    if kind == "reserve":
+        return Step(f"reserve (arm) {{ told(0); {_block(inner).text} }}", _reserved(_block(inner)))
     if kind == "together":
         return _parallel(depth, _block(inner))
     which = draw(st.sampled_from(["catch", "finally", "both"]))
-    catch = draw(steps(depth - 1, loops, last)) if which != "finally" else None
-    end = draw(steps(depth - 1, loops, loops)) if which != "catch" else None
+    catch = draw(steps(depth - 1, loops, last, parallel)) if which != "finally" else None
+    end = draw(steps(depth - 1, loops, loops, parallel)) if which != "catch" else None
     return _try(f"e{depth}", _block(inner), draw(st.sampled_from(("Exception", *_CLASSES))), catch, end)
 
 
@@ -177,3 +196,4 @@ def test_every_way_out(step: Step) -> None:
         life.trace.append("return -1" if way == "on" else way)
     desk, _ = run_text(_PROGRAM.format(body=step.text))
     assert desk.output == life.trace
+    assert [holder for _, holder in desk.reserved.values()] in ([], [""])

@@ -1,4 +1,4 @@
-"""What `together`, `within` and `finally` become."""
+"""What `together`, `within`, `reserve` and `finally` become."""
 
 from __future__ import annotations
 
@@ -33,7 +33,8 @@ def boss(body: str, members: str = "") -> str:
 
 def heads(body: str) -> list[str]:
     """The instructions of `work` that leave the engine or the method."""
-    words = ("gather", "begin", "start", "fetch", "leave", "limit", "pcall", "call", "print_int", "sleep")
+    words = ("gather", "begin", "start", "fetch", "leave", "limit", "hold", "take", "drop", "pcall", "call")
+    words += ("print_int", "sleep")
     found = (line.split(",")[0] for line in instructions(compile_text(boss(body)), "Boss.work"))
     return [word for word in found if word in words]
 
@@ -115,6 +116,35 @@ def test_a_time_limit_is_a_row() -> None:
 
 def test_an_empty_time_limit_is_no_row() -> None:
     assert "limit ^" not in disassemble(compile_text(boss("within (2) { }")))
+
+
+def test_a_reserve_takes_inside_and_drops_on_every_way() -> None:
+    text = boss("reserve (arm) { arm.stop(); }")
+    assert instructions(compile_text(text), "Boss.work") == [
+        "push, ^1",
+        "hold",
+        "pop, ^3",
+        "push, ^3",
+        "take",
+        "push, ^1",
+        "pcall, Arm.stop()",
+        "move, ^4, null",
+        "push, ^3",
+        "drop",
+        "eqnull, ^5, ^4",
+        "bnz, L14, ^5",
+        "throw, ^4",
+        "rtn",
+    ]
+    listed = disassemble(compile_text(text))
+    rows = [line.split() for line in listed.splitlines() if " reserved " in line or " finally " in line]
+    (first, *reserved), (second, *_) = rows
+    assert (first, reserved) == (second, ["reserved", "^3"])
+
+
+def test_one_drop_serves_all_ways_out() -> None:
+    ways = "if (sum.a > 1) break; if (sum.a > 2) return; continue;"
+    assert heads(f"while (true) {{ reserve (arm) {{ {ways} }} }}") == ["hold", "take", "drop"]
 
 
 def test_the_code_of_a_finally_is_there_once() -> None:

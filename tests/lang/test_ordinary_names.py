@@ -20,6 +20,7 @@ LIKE_KEYWORDS = [
     "trys",
     "together",
     "within",
+    "reserve",
     "finally",
 ]
 HABITS = [
@@ -127,6 +128,6 @@ resource Machine {
 """
 
 
-@pytest.mark.parametrize("word", ["together", "within", "finally"])
+@pytest.mark.parametrize("word", ["together", "within", "reserve", "finally"])
 def test_a_word_of_0_4_is_a_name_where_no_block_follows(word: str) -> None:
     assert [d.render() for d in check_text(STATEMENTS.replace("WORD", word)).diagnostics] == []

@@ -22,6 +22,7 @@ NAMESAKES = ("conftest.py", "run.py")
 #: Longer than others for a reason: tables, which are read by looking things up.
 TABLES: dict[str, str] = {
     "lfield/lang/messages.py": "what the front end can say, by its codes",
+    "lfield/lang/tree.py": "the nodes of the checked tree, all of which name one another",
 }
 #: Shorter than others, each one idea that nothing else is about.
 SMALL = {

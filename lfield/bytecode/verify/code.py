@@ -5,6 +5,7 @@ from __future__ import annotations
 from lfield.bytecode.opcodes import BY_CODE, BY_NAME
 from lfield.bytecode.program import (
     ANY,
+    ARRAY,
     BUILTIN_CLASSES,
     CATCH,
     FINALLY,
@@ -12,6 +13,7 @@ from lfield.bytecode.program import (
     LANDING,
     LIMIT,
     OBJECT,
+    RESERVED,
     Handler,
     Program,
     Quad,
@@ -74,7 +76,7 @@ def _check_handler(view: MethodView, handler: Handler, starts: set[int]) -> None
     whole = handler.start in starts and (handler.end in starts or handler.end == view.method.end)
     if not whole or handler.start >= handler.end:
         raise view.refused(handler.start, "a handler protects no run of whole instructions")
-    if handler.kind in (LIMIT, LANDING):
+    if handler.kind in (LIMIT, LANDING, RESERVED):
         _check_region(view, handler)
         return
     if handler.kind not in (CATCH, FINALLY):
@@ -100,6 +102,9 @@ def _check_region(view: MethodView, handler: Handler) -> None:
     if handler.kind == LANDING:
         return
     if view.scope != "coordinator" or view.core.builtins < len(BUILTIN_CLASSES):
-        raise view.refused(handler.start, "only coordinators have a time limit")
-    if view.target(handler.slot, handler.start) != INT:
+        raise view.refused(handler.start, "only coordinators have a time limit, or reserve")
+    slot = view.types.record(view.target(handler.slot, handler.start))
+    if handler.kind == LIMIT and slot != TypeRecord(INT):
         raise view.refused(handler.start, "the end of a time limit is no int")
+    if handler.kind == RESERVED and slot != TypeRecord(ARRAY, INT):
+        raise view.refused(handler.start, "what a reserve keeps is no int[]")

@@ -37,7 +37,9 @@ _EXACT = {"boolean": BOOLEAN, "int": INT, "real": REAL, "string": STRING}
 _OF_COORDINATORS = {"hops": "hops", "heartbeat_interval": "a heartbeat", "limit": "a time limit"}
 
 #: What makes, or reads, exceptions that a program of lfield 0.3 does not have.
-_YOUNG = frozenset({"exc_others", "gather", "begin", "start", "fetch", "leave", "limit", "settle"})
+_YOUNG = frozenset(
+    {"exc_others", "gather", "begin", "start", "fetch", "leave", "limit", "settle", "hold", "take", "drop"}
+)
 
 #: Whether a type index is what a head takes or gives.
 Test = Callable[[MethodView, int], bool]
@@ -167,6 +169,33 @@ def _is_ticket(view: MethodView, index: int) -> bool:
     return view.types.kind(index) == TICKET
 
 
+def _hold(view: MethodView, pc: int, quad: Quad) -> Signature:
+    _check_reserves(view, pc)
+
+    def is_kept(view: MethodView, index: int) -> bool:
+        record = view.types.record(index)
+        while record.kind == ARRAY:
+            record = view.types.record(record.of)
+        offer = record.kind == OBJECT and view.core.classes[record.of].capability
+        return offer or record.kind == PROXY
+
+    return Signature([is_kept], _is_numbers)
+
+
+def _keeps(view: MethodView, pc: int, quad: Quad) -> Signature:
+    _check_reserves(view, pc)
+    return Signature([_is_numbers], None)
+
+
+def _check_reserves(view: MethodView, pc: int) -> None:
+    if view.scope != "coordinator":
+        raise view.refused(pc, "only coordinators reserve resources")
+
+
+def _is_numbers(view: MethodView, index: int) -> bool:
+    return view.types.record(index) == TypeRecord(ARRAY, INT)
+
+
 def _others(view: MethodView, pc: int, quad: Quad) -> Signature:
     return Signature([_accepts(ANY)], _accepts(EXCEPTIONS))
 
@@ -248,6 +277,9 @@ _SPECIAL: dict[str, Callable[[MethodView, int, Quad], Signature]] = {
     "fetch": _waits,
     "leave": _leave,
     "settle": _settle,
+    "hold": _hold,
+    "take": _keeps,
+    "drop": _keeps,
 }
 
 

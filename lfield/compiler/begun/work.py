@@ -10,7 +10,18 @@ from collections.abc import Iterable, Iterator
 from functools import cached_property
 
 from lfield.lang.chains import inside, statements, values
-from lfield.lang.tree import Call, DeviceCall, Expr, Library, Method, New, PortalCall, Together, Within
+from lfield.lang.tree import (
+    Call,
+    DeviceCall,
+    Expr,
+    Library,
+    Method,
+    New,
+    PortalCall,
+    Reserve,
+    Together,
+    Within,
+)
 
 _WORK = frozenset({"sleep", "yield"})
 _OUTPUT = ("print_", "write_")
@@ -33,7 +44,7 @@ class Work:
         working = {
             method
             for method, found in expressions.items()
-            if any(isinstance(one, Together | Within) for one in statements(method.body))
+            if any(isinstance(one, Together | Within | Reserve) for one in statements(method.body))
             or any(_is_work(one) for expr in found for one in inside(expr))
         }
         before = -1

@@ -16,6 +16,7 @@ from lfield.lang.tree import (
     Literal_,
     Loop,
     Method,
+    Reserve,
     Return,
     Stmt,
     Throw,
@@ -90,7 +91,7 @@ class _Flow:
         match one:
             case Return() | Break() | Continue() | Throw():
                 return False
-            case Block() | Together():
+            case Block() | Together() | Reserve():
                 return self.ends(one.body)
             case Within():
                 return self.within(one)

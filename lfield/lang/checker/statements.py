@@ -11,7 +11,7 @@ from lfield.lang.checker.expressions import assigned, assignment, condition, eva
 from lfield.lang.checker.fitting import converted, cost, expect, shown, unknown
 from lfield.lang.checker.operators import binary
 from lfield.lang.checker.scope import Body
-from lfield.lang.checker.together import limit, may_stand
+from lfield.lang.checker.together import limit, may_stand, reserved
 from lfield.lang.checker.visibility import visible_type
 from lfield.lang.library import ARRAY_LENGTH
 from lfield.lang.types import BOOLEAN, EXCEPTION, INT, NULL, UNKNOWN, VOID, ArrayType, ClassType
@@ -64,6 +64,9 @@ def _statement(body: Body, raw: syntax.Stmt) -> tree.Stmt | None:
         case syntax.Within():
             may_stand(body, raw.span)
             return tree.Within(raw.span, limit(body, raw.seconds), _branch(body, raw.body))
+        case syntax.Reserve():
+            may_stand(body, raw.span)
+            return tree.Reserve(raw.span, reserved(body, raw.who), _branch(body, raw.body))
         case syntax.BadStmt():
             body.scope.uncertain = True
     return None

@@ -1,6 +1,6 @@
-"""Statements (appendix A; `for`, `break`, `continue`, `together`, `within` and `finally` added).
+"""Statements (appendix A; `for`, `break`, `continue`, `together`, `within`, `reserve` and `finally` added).
 
-The last three are words only where their block follows; everywhere else they are names like any other.
+The last four are words only where their block follows; everywhere else they are names like any other.
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ from lfield.lang.syntax import (
     Evaluate,
     For,
     If,
+    Reserve,
     Return,
     Stmt,
     Throw,
@@ -37,7 +38,7 @@ from lfield.text.suggest import FOREIGN_STATEMENTS, closest
 
 _EACH = "write for (T x : array) { ... }"
 #: Words before `{` or `(...) {` that a typing mistake may hide.
-_HEADS = ("if", "else", "while", "for", "try", "catch", "together", "within", "finally")
+_HEADS = ("if", "else", "while", "for", "try", "catch", "together", "within", "reserve", "finally")
 
 
 def block(s: TokenStream) -> list[Stmt]:
@@ -256,6 +257,12 @@ def _within(s: TokenStream) -> Stmt:
     return Within(word.span, seconds, _braced(s, word))
 
 
+def _reserve(s: TokenStream) -> Stmt:
+    word = s.advance()
+    who = parenthesised(s, "what it keeps stands in parentheses: reserve (arm) { ... }")
+    return Reserve(word.span, who, _braced(s, word))
+
+
 def _finally(s: TokenStream) -> Stmt:
     raise s.fail(messages.FINALLY_WITHOUT_TRY)
 
@@ -274,7 +281,7 @@ def _braced(s: TokenStream, word: Token) -> Stmt:
 
 
 def _is_word(s: TokenStream) -> bool:
-    """Whether `together`, `within` or `finally` begins its block here, or what no name can begin."""
+    """Whether the word here begins its block, or what no name can begin."""
     following = s.ahead(1)
     if following.kind is Kind.NAME:
         return s.ahead(2).text in ("(", ".")
@@ -374,5 +381,6 @@ _STATEMENTS: dict[str, Callable[[TokenStream], Stmt]] = {
 _WORDS: dict[str, Callable[[TokenStream], Stmt]] = {
     "together": _together,
     "within": _within,
+    "reserve": _reserve,
     "finally": _finally,
 }

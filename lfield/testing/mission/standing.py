@@ -54,7 +54,9 @@ def _does(core: HostCore, agent: Agent, place: int) -> str:
         return STATE_NAMES[state]
     called = core.machine.calling(agent) if agent.frozen or state == CALLING else None
     words = core.waits(agent) or "waits"
-    return f"{words} for {called[0].id}.{called[1]}()" if called else core.waits(agent) or STATE_NAMES[state]
+    if called is None:
+        return core.waits(agent) or STATE_NAMES[state]
+    return f"{words} for {called[0].id}.{called[1]}()" if called[1] else f"{words} to reserve {called[0].id}"
 
 
 def _instruction(core: HostCore, agent: Agent, place: int) -> str:

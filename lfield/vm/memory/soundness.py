@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from lfield.bytecode.opcodes import BY_NAME
-from lfield.bytecode.program import ANY, PROXY, REFERENCES, STRING, TICKET, Program
+from lfield.bytecode.program import ANY, PROXY, REFERENCES, RESERVED, STRING, TICKET, MethodRecord, Program
 from lfield.bytecode.program import ARRAY as ARRAY_TYPE
 from lfield.bytecode.program import OBJECT as OBJECT_TYPE
 from lfield.errors import BlockError
@@ -63,7 +63,7 @@ _MAGIC, _EARLIER_MAGIC, _OLD_MAGIC = (
 _WRONG = "wrong magic or version"
 _PUSH, _CALL = BY_NAME["push"].code, BY_NAME["call"].code
 #: Where coordinators leave, and where they are kept.
-_TRAVELS = frozenset(BY_NAME[name].code for name in ("pcall", "start", "fetch", "leave"))
+_TRAVELS = frozenset(BY_NAME[name].code for name in ("pcall", "start", "fetch", "leave", "take"))
 
 
 class Soundness:
@@ -75,6 +75,10 @@ class Soundness:
         #: The class index of every member of the team, by its number.
         self.members = [self.program.class_index.get(name, -1) for name in members]
         core = self.program.core
+        #: The numbers of the resources.
+        self._resources = {
+            i for i, of in enumerate(self.members) if of >= 0 and core.classes[of].kind == "resource"
+        }
         self._type_expects = [self._expected(i) for i in range(len(core.types))]
         #: By the low half of a header: the size a thing must have (0: any), and what its references lead to.
         self._sizes: dict[int, int] = {layout.STRING: 0, THREAD: THREAD_WORDS, layout.TICKET: TICKET_WORDS}
@@ -333,12 +337,28 @@ class Soundness:
                 raise BlockError("a frame stands outside its method", word=frame)
             if callee >= 0 and self.program.quads[pc - 1][:2] != (_CALL, callee):
                 raise BlockError("a frame does not stand behind its call", word=frame)
+            self._check_reserved(w, method, frame, pc if callee < 0 else pc - 1)
             depth, callee, pc = w[frame + FRAME_DEPTH], half >> 8, w[frame + FRAME_RETURN]
             frame = w[frame + FRAME_CALLER]
             if not frame and depth == 1:
                 return
             if depth < 1:
                 raise BlockError("its frames are no chain", word=frame)
+
+    def _check_reserved(self, w: memoryview[int], method: MethodRecord, frame: int, pc: int) -> None:
+        """What the blocks around an instruction of a frame keep: resources, each once, and numbers."""
+        for row in method.handlers:
+            array = w[frame + FRAME_SLOTS + row.slot] if row.kind == RESERVED else 0
+            if not array or not row.start <= pc < row.end:
+                continue
+            members, numbers = (w[i : array + (w[array] >> 32)].tolist()[::2] for i in (array + 1, array + 2))
+            known = len(members) == len(numbers) == len(set(members))
+            if not (known and self._resources.issuperset(members) and all(map(_is_count, numbers))):
+                raise BlockError("what it has reserved is not sound", word=array)
+
+
+def _is_count(number: int) -> bool:
+    return 0 <= number < COUNT_LIMIT
 
 
 def _portal_calls(program: Program) -> frozenset[int]:

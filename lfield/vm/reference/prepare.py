@@ -219,6 +219,8 @@ class _Preparer:
                 return {0: f"portal '{self.core.methods[operand].name}'"}
             case "begin":
                 return {0: "'together'", 3: f"portal '{self.core.methods[operand].name}'"}
+            case "hold" | "take" | "drop":
+                return {0: "'reserve'"}
             case "start" | "fetch" | "leave" | "settle":
                 return {0: "'together'"}
             case "write_str" | "print_str" | "find" | "agent" | "host":

@@ -1,13 +1,14 @@
 """What coordinators have reserved: read off the blocks around the place where each stands (decision 53).
 
 An array in a slot of the frame has a member of the team and the number of its reservation, in turn, each
-member once and in the order of the deployment; the number is 0 before it is granted. A row of the method says
-which instructions it is about. Nothing else is kept of a reservation, here or elsewhere in a block.
+member once and in the order in which all coordinators take. The number is 0 before it is granted, and stays 0
+where a block further out has the resource already. A row of the method says which instructions it is about.
+Nothing else is kept of a reservation, here or elsewhere in a block.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from typing import NamedTuple
 
 from lfield.bytecode.program import RESERVED, Program
@@ -43,6 +44,22 @@ class Held:
     def number(self, agent: Agent, resource: Member) -> int:
         """The number by which a coordinator has a resource; 0: it has not reserved it."""
         return next((number for held, number in self.of(agent) if held is resource), 0)
+
+    def wanted(self, agent: Agent) -> Entry | None:
+        """What a coordinator that stands at `take` has to take next; None when it has all."""
+        has = {resource.number for resource, _ in self.of(agent)}
+        own = next(self.around(agent), 0)
+        waiting = (one for one in self.entries(agent, own) if not one.number) if own else iter(())
+        return next((one for one in waiting if one.resource.number not in has), None)
+
+    def nested(self, agent: Agent) -> bool:
+        """Whether a coordinator that stands at `take` has a reservation of a block further out."""
+        _, *outer = self.around(agent)
+        return any(entry.number for array in outer for entry in self.entries(agent, array))
+
+    def in_order(self, numbers: Collection[int]) -> list[Member]:
+        """Members by their numbers, in the order in which everybody takes them: host by host."""
+        return sorted((self._team[number] for number in numbers), key=lambda one: (one.host, one.number))
 
     def around(self, agent: Agent) -> Iterator[int]:
         """The arrays of the blocks around the place where a coordinator stands, innermost first."""

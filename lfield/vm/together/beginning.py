@@ -24,6 +24,7 @@ from lfield.vm.memory.layout import (
     TICKET_WORDS,
 )
 from lfield.vm.memory.tickets import collected, new_ticket
+from lfield.vm.reserve.held import Held
 from lfield.vm.scheduler import Scheduler
 from lfield.vm.together.outcomes import Outcomes
 from lfield.vm.together.visits import Ticket, Visits
@@ -88,12 +89,16 @@ def _check_target(block: Block, array: int, index: int) -> None:
 class Beginnings:
     """Begins all calls for one host in one visit. A call that cannot begin is back, with its exception."""
 
-    def __init__(self, scheduler: Scheduler, visits: Visits, outcomes: Outcomes, limits: TimeLimits) -> None:
-        self._scheduler, self._visits = scheduler, visits
+    def __init__(
+        self, scheduler: Scheduler, visits: Visits, held: Held, outcomes: Outcomes, limits: TimeLimits
+    ) -> None:
+        self._scheduler, self._visits, self._held = scheduler, visits, held
         self._outcomes, self._limits = outcomes, limits
 
     def begin_here(self, agent: Agent, thread: int) -> bool:
         """Begin what is collected for this host; false: its host does not let it yet, it is frozen."""
+        if not self._served(agent, thread):
+            return False
         mine = self._mine(agent, thread)
         if mine and not self._may_begin(agent, thread, mine):
             return False
@@ -108,6 +113,22 @@ class Beginnings:
     def _mine(self, agent: Agent, thread: int) -> list[Ticket]:
         found = self._visits.tickets(agent, thread)
         return [ticket for ticket in found if ticket.state == COLLECTED and self._visits.is_here(ticket)]
+
+    def _served(self, agent: Agent, thread: int) -> bool:
+        """Whether no reservation keeps a call from beginning; one that it always will is back."""
+        self._scheduler.set_state(agent, thread, CALLING)
+        for number in [ticket.number for ticket in self._mine(agent, thread)]:
+            ticket = next(ticket for ticket in self._mine(agent, thread) if ticket.number == number)
+            member = self._visits.resource(ticket)
+            resource = self._scheduler.agents.get(member.id)
+            try:
+                if resource is not None and not portals.serves(
+                    self._scheduler, resource, agent, self._held.number(agent, member)
+                ):
+                    return False
+            except Trap as trap:
+                self._outcomes.throw(agent, thread, number, trap.kind, trap.message)
+        return True
 
     def _may_begin(self, agent: Agent, thread: int, mine: list[Ticket]) -> bool:
         self._scheduler.set_state(agent, thread, CALLING)

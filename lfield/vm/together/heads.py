@@ -27,11 +27,13 @@ from lfield.vm.memory.layout import (
     TICKET_VALUE,
     TOLD,
 )
+from lfield.vm.reserve.held import Held
 from lfield.vm.scheduler import Scheduler
 from lfield.vm.together.beginning import Beginnings, collect, gather, settle
 from lfield.vm.together.outcomes import RESTARTED, Outcomes
 from lfield.vm.together.visits import Ticket, Visits
 
+RESERVED = "ReservedException"
 Handler = Callable[[Agent, int, int, list[int]], None]
 
 
@@ -39,12 +41,12 @@ class Together:
     """The heads of `together`, for the coordinators of one host."""
 
     def __init__(
-        self, scheduler: Scheduler, visits: Visits, cancelling: Cancelling, limits: TimeLimits
+        self, scheduler: Scheduler, visits: Visits, held: Held, cancelling: Cancelling, limits: TimeLimits
     ) -> None:
         self._scheduler, self._visits, self._cancelling = scheduler, visits, cancelling
         self._limits = limits
         self._outcomes = Outcomes(scheduler, visits)
-        self._beginnings = Beginnings(scheduler, visits, self._outcomes, limits)
+        self._beginnings = Beginnings(scheduler, visits, held, self._outcomes, limits)
 
     def heads(self) -> dict[str, Handler]:
         """By name, what carries them out. Raise Full: they are run again then."""
@@ -68,9 +70,17 @@ class Together:
 
         return carry_out
 
-    def failed(self, agent: Agent, thread: int, kind: str, message: str) -> None:
-        """What a frozen coordinator waited for cannot be: its calls there are back with an exception."""
-        wanted = [(ticket.number, self._told(kind, message, ticket)) for ticket in self._visits.wanted(agent)]
+    def failed(self, agent: Agent, thread: int, kind: str, message: str, source: str) -> None:
+        """What a frozen coordinator waited for cannot be: its calls there are back with an exception.
+
+        Where a resource is reserved by somebody else (`source`), only the calls of that one are.
+        """
+        tickets = [
+            ticket
+            for ticket in self._visits.wanted(agent)
+            if kind != RESERVED or self._visits.resource(ticket).id == source
+        ]
+        wanted = [(ticket.number, self._told(kind, message, ticket)) for ticket in tickets]
         try:
             for number, told in wanted:
                 self._outcomes.throw(agent, thread, number, kind, told)
@@ -192,6 +202,10 @@ class Together:
         self._outcomes.beside(agent, thread)
 
     def _clear(self, agent: Agent, thread: int) -> None:
-        """All calls are back, and nothing is asked of them any more."""
+        """All calls are back, and nothing is asked of them any more.
+
+        What is on the disk of the coordinator stands before what it does from here on.
+        """
+        agent.kept = False
         agent.block.w[self._visits.words(agent, thread)[0] + TICKET_NEXT] = 0
         self._scheduler.go_on(agent, thread)

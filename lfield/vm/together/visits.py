@@ -26,6 +26,7 @@ from lfield.vm.memory.layout import (
 )
 from lfield.vm.memory.threads import place_of
 from lfield.vm.memory.tickets import collected
+from lfield.vm.reserve.held import Held
 from lfield.vm.scheduler import Scheduler
 
 #: The heads that visit hosts, each with the states of the tickets that it travels for, in this order.
@@ -80,19 +81,25 @@ class Ticket:
 
 
 class Visits:
-    """Looks at the tickets of the coordinators on one host (`here`, a number); `team` is everybody."""
+    """Looks at the tickets of the coordinators on one host (`here`, a number); `team` is everybody.
 
-    def __init__(self, scheduler: Scheduler, team: Sequence[Member], here: int) -> None:
-        self._scheduler, self._team, self._here = scheduler, team, here
+    Where a coordinator waits for something else, a portal or a reservation, it tells that too.
+    """
+
+    def __init__(self, scheduler: Scheduler, team: Sequence[Member], here: int, held: Held) -> None:
+        self._scheduler, self._team, self._here, self._held = scheduler, team, here, held
         self._program = scheduler.program
 
     def head(self, agent: Agent) -> str:
         """The name of the head that a coordinator stands at; '' when it is none that travels for tickets."""
-        place = agent.block.w[layout.W_THREADS]
-        pc = agent.block.w[place + THREAD_PC]
-        group = self._scheduler.engine.prepared.groups.get(pc)
-        name = BY_CODE[group.head.op].name if group is not None else ""
+        name = self._standing(agent)
         return name if name in TRAVELS else ""
+
+    def _standing(self, agent: Agent) -> str:
+        """The name of the head that a coordinator stands at, '' for none."""
+        pc = agent.block.w[agent.block.w[layout.W_THREADS] + THREAD_PC]
+        group = self._scheduler.engine.prepared.groups.get(pc)
+        return BY_CODE[group.head.op].name if group is not None else ""
 
     def words(self, agent: Agent, thread: int) -> list[int]:
         """The arguments of the group that a coordinator stands at, as they are in the block now."""
@@ -159,7 +166,13 @@ class Visits:
         return next((away for state in TRAVELS[head] if (away := self.away(found, state))), [])
 
     def calling(self, agent: Agent) -> tuple[Member, str] | None:
-        """The resource and the portal that a frozen coordinator waits for, the first of several."""
+        """The resource and the portal that a frozen coordinator waits for, the first of several.
+
+        The portal is '' where it wants to reserve the resource.
+        """
+        if self._standing(agent) == "take":
+            entry = self._held.wanted(agent)
+            return (entry.resource, "") if entry is not None else None
         if self.head(agent):
             wanted = self.wanted(agent)
             return (self.resource(wanted[0]), self.portal(wanted[0])) if wanted else None
@@ -178,6 +191,9 @@ class Visits:
 
     def cut_short(self, agent: Agent) -> str:
         """What a frozen coordinator is kept from, as the end of a sentence; '' for nothing."""
+        if self._standing(agent) == "take":
+            entry = self._held.wanted(agent)
+            return f" before {entry.resource.id} could be reserved" if entry is not None else ""
         called = self.called(agent)
         if not called:
             return ""
@@ -188,7 +204,7 @@ class Visits:
 
     def goes_on(self, agent: Agent) -> bool:
         """Whether nothing is unknown of what a restored coordinator did where it stands."""
-        head = self.head(agent)
-        if head in ("", "leave"):
-            return bool(head)
+        head = self._standing(agent)
+        if head not in TRAVELS or head == "leave":
+            return head in ("take", "leave")
         return not any(t.state == COLLECTED and self.is_here(t) for t in self.of_thread(agent))

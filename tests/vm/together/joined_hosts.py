@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import random
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 from lfield.bytecode.program import DeviceCall, Program
 from lfield.clock import ManualClock
@@ -60,7 +60,12 @@ class Joined:
     """
 
     def __init__(
-        self, program: Program, hosts: int, kind: str = "Post", limits: Limits | None = None
+        self,
+        program: Program,
+        hosts: int,
+        kind: str = "Post",
+        limits: Limits | None = None,
+        place: Callable[[], Place] = Place,
     ) -> None:
         self.program, self.clock, self.limits = program, ManualClock(), limits or Limits()
         self.team = [Member(i, f"r{i}", kind, "resource", i) for i in range(hosts)]
@@ -71,7 +76,7 @@ class Joined:
         self.hops = 0
         self.route = [0]
         for host in range(hosts):
-            self.places.append(Place())
+            self.places.append(place())
             self.machines.append(self._machine(host, 1 + host))
         self.machines[0].start(self.team[-1], self.limits, 1)
 

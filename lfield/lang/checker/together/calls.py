@@ -24,6 +24,7 @@ from lfield.lang.tree import (
     Local,
     Loop,
     PortalCall,
+    Reserve,
     Stmt,
     Together,
     ToReal,
@@ -78,6 +79,8 @@ class _Calls:
         match one:
             case Together():
                 return one
+            case Reserve():
+                self.symbols.report(messages.RESERVE_INSIDE, one.span)
             case Evaluate(value=value) if not place.barred and (call := _called(value)):
                 return self.begin(Begin(one.span, call, None), place)
             case Evaluate(value=Assign(target=target, value=value)) if not place.barred and (
@@ -121,7 +124,7 @@ def _called(value: Expr) -> PortalCall | Call | None:
 def _inner(one: Stmt, place: _Place) -> list[tuple[list[Stmt], _Place]]:
     """The bodies of a statement that are the together's own, with their places."""
     match one:
-        case Together():
+        case Together() | Reserve():
             return []
         case Loop():
             place = replace(place, loop=True)

@@ -1,4 +1,4 @@
-"""Who may write `together` and `within`, and for how long a `within` may last."""
+"""Who may write `together`, `within` and `reserve`; how long a `within` lasts, and what a `reserve` keeps."""
 
 from __future__ import annotations
 
@@ -7,21 +7,22 @@ import math
 from lfield.lang import messages, syntax
 from lfield.lang.chains import chain
 from lfield.lang.checker.expressions import value
-from lfield.lang.checker.fitting import expect
+from lfield.lang.checker.fitting import expect, shown, unknown
 from lfield.lang.checker.scope import Body
 from lfield.lang.checker.symbols import describe
 from lfield.lang.tree import Binary, Expr, Literal_, Negate, ToReal
-from lfield.lang.types import INT, REAL, UNKNOWN
+from lfield.lang.types import INT, REAL, UNKNOWN, ArrayType, ResourceType
 from lfield.text.source import Span
 
 _INSTEAD = {
     "together": "offer portals; the coordinator calls those of several resources at one time",
     "within": "the coordinator limits its calls of the portal; here, a loop asks now()",
+    "reserve": "the coordinator keeps what it works with; a resource has its devices for itself",
 }
 
 
 def may_stand(body: Body, word: Span) -> None:
-    """Report a `together` or `within` where no coordinator runs."""
+    """Report one of these words where no coordinator runs."""
     unit = body.unit
     if unit.usage == "coordinator":
         return
@@ -39,6 +40,20 @@ def limit(body: Body, raw: syntax.Expr) -> Expr:
         given = "no number (NaN)" if math.isnan(seconds) else f"{seconds:g}"
         body.report(messages.WITHIN_OVER, found.span, given=given)
     return found
+
+
+def reserved(body: Body, raw: syntax.Expr) -> Expr:
+    """What a `reserve` keeps."""
+    found = value(body, raw)
+    kind = found.type
+    while isinstance(kind, ArrayType):
+        kind = kind.element
+    unit = body.symbols.named(kind)
+    offer = unit is not None and unit.capability
+    if kind is UNKNOWN or offer or isinstance(kind, ResourceType):
+        return found
+    body.report(messages.RESERVE_TYPE, found.span, given=shown(found.type))
+    return unknown(found.span)
 
 
 def constant(expr: Expr) -> float | None:

@@ -1,0 +1,132 @@
+"""Several machines and no network, as in `joined_hosts`, whose resources can be reserved."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cache
+
+from joined_hosts import Joined, Place
+
+from lfield.bytecode.program import Program
+from lfield.testing.golden import compile_text
+from lfield.vm.agent import Agent, Member
+from lfield.vm.contract import Limits, Trap
+
+POST = """
+class Own { public int n; public Own(int n) { this.n = n; } }
+class Pair coordinator specific {
+  private Post left; private Post right;
+  public Pair(Post l, Post r) { left = l; right = r; }
+  public int both() { return left.count() + right.count(); }
+}
+resource Post {
+  int done;
+  init(string[] arg) { }
+  portal work(real s) emit real { done = done + 1; sleep(s); return s; }
+  portal count() emit int { return done; }
+  portal own(int n) { throw new Own(n); }
+  portal heed(real s) { try { sleep(s); } finally { print("heeded"); } }
+}
+coordinator Boss {
+  init(string[] arg) { Post[] r = findPost(); %s }
+  private Post[] reversed() { Post[] r = findPost(); return new Post[] {r[2], r[1], r[0]}; }
+  private int counted(Post p) { return p.count(); }
+  private int early(Post p) { reserve (p) { while (true) { return p.count(); } } }
+}
+"""
+
+
+@cache
+def program(body: str) -> Program:
+    return compile_text(POST % body)
+
+
+class Book:
+    """Who has what, for all hosts: `free` has what can be taken at once, what is not there is waited for.
+
+    `log` has what was asked, in order: `take r1`, `drop r1 7`, `serve r1 7`.
+    """
+
+    def __init__(self) -> None:
+        self.numbers = iter(range(7, 1000))
+        self.held: dict[str, int] = {}
+        self.busy: set[str] = set()
+        self.refused: set[str] = set()
+        self.nested: list[str] = []
+        self.log: list[str] = []
+
+
+class Booth(Place):
+    """The world of one host. It asserts what the machine promises."""
+
+    def __init__(self, book: Book) -> None:
+        super().__init__()
+        self.book = book
+
+    def take(self, agent: Agent, resource: Member, *, nested: bool) -> int:
+        assert agent.frozen
+        assert resource.id in self.machine.agents
+        book = self.book
+        book.log.append(f"take {resource.id}")
+        if nested:
+            book.nested.append(resource.id)
+        if resource.id in book.refused:
+            raise Trap("ReservedException", f"{resource.id} is reserved by pilot", resource.id)
+        if resource.id in book.busy:
+            return 0
+        # As a host with a journal does it: what was read of the block before is wrong then.
+        self.machine.pack(agent)
+        if resource.id not in book.held:
+            book.held[resource.id] = next(book.numbers)
+        self.machine.agents[resource.id].reserved = True
+        return book.held[resource.id]
+
+    def drop(self, agent: Agent, held: Sequence[tuple[Member, int]]) -> None:
+        assert not agent.frozen
+        assert held
+        for resource, number in held:
+            self.book.log.append(f"drop {resource.id} {number}")
+            if self.book.held.get(resource.id) == number:
+                del self.book.held[resource.id]
+
+    def serves(self, agent: Agent, resource: Member, number: int) -> bool:
+        assert agent.frozen
+        self.book.log.append(f"serve {resource.id} {number}")
+        if resource.id in self.book.busy:
+            return False
+        if number != self.book.held.get(resource.id, 0):
+            lost = f"{resource.id} was reserved by pilot since"
+            raise Trap("ReservationLostException" if number else "ReservedException", lost, resource.id)
+        return True
+
+
+class Reserving(Joined):
+    """`Joined` with one book for all."""
+
+    def __init__(self, program: Program, hosts: int = 3, limits: Limits | None = None) -> None:
+        self.book = Book()
+        super().__init__(program, hosts, limits=limits, place=lambda: Booth(self.book))
+
+    @property
+    def served(self) -> list[str]:
+        """The calls that were asked for, with the number that they had."""
+        return [line.removeprefix("serve ") for line in self.book.log if line.startswith("serve")]
+
+    @property
+    def kept(self) -> list[str]:
+        """What was taken and dropped, in order."""
+        return [line for line in self.book.log if not line.startswith("serve")]
+
+    @property
+    def death(self) -> str:
+        """What the boss died of, '' when it did not."""
+        ended = [agent for place in self.places for agent in place.endings]
+        return ended[0].report.splitlines()[0] if ended and ended[0].ended == "died" else ""
+
+
+def ran(body: str) -> Reserving:
+    """A mission that came to its end."""
+    joined = Reserving(program(body))
+    joined.run()
+    assert not any("boss" in machine.agents for machine in joined.machines)
+    return joined

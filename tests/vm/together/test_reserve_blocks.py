@@ -1,0 +1,172 @@
+"""Reservations in a block: kept, restored, recovered, asked for from outside, and changed by a peer."""
+
+from __future__ import annotations
+
+import pytest
+from reserving_hosts import Reserving, program
+
+from lfield.errors import BlockError
+from lfield.vm.memory import layout
+
+BODY = """
+reserve (r) {
+  print(r[0].count()); r[1].work(1.0); sleep(1.0);
+  together { for (Post one : r) one.work(2.0); }
+  while (hops() > 0) { yield(); print(counted(r[2])); break; }
+}
+print("behind");
+"""
+
+
+def waiting() -> Reserving:
+    """The boss stands at its second `take`, and has r0."""
+    joined = Reserving(program("reserve (r) { print(r[2].count()); }"))
+    joined.book.busy.add("r1")
+    joined.run()
+    joined.book.busy.clear()
+    return joined
+
+
+def test_what_it_has_is_told_wherever_it_stands() -> None:
+    joined = Reserving(program(BODY))
+    seen = []
+    for _ in range(40):
+        joined.still()
+        host, boss = next(
+            ((i, m.agents["boss"]) for i, m in enumerate(joined.machines) if "boss" in m.agents), (0, None)
+        )
+        if boss is None:
+            break
+        seen.append(tuple((member.id, number) for member, number in joined.machines[host].held(boss)))
+        if not joined.carry():
+            joined.clock.advance(0.5)
+    whole = (("r0", 7), ("r1", 8), ("r2", 9))
+    assert list(dict.fromkeys(seen)) == [(("r0", 7),), (("r0", 7), ("r1", 8)), whole]
+    assert joined.printed == ["0", "1", "behind"]
+
+
+def test_a_restored_one_goes_on_taking_by_itself() -> None:
+    joined = waiting()
+    host, boss = joined.boss
+    image = bytes(joined.machines[host].pack(boss))
+    machine = joined.restart(host)
+    restored = machine.restore(boss.member, image, boss.limits)
+    assert machine.goes_on(restored)
+    assert machine.calling(restored) == (joined.team[1], "")
+    assert machine.held(restored) == [(joined.team[0], 7)]
+    machine.go(restored)
+    joined.run()
+    assert joined.printed == ["0"]
+    assert joined.kept == ["take r0", "take r1", "take r1", "take r2", "drop r0 7", "drop r1 8", "drop r2 9"]
+
+
+def test_at_a_portal_call_inside_it_does_not() -> None:
+    joined = Reserving(
+        program("try { reserve (r) { r[1].work(9.0); } } catch (RestartException e) { print(1); }")
+    )
+    joined.run(until=1.0)
+    host, boss = joined.boss
+    image = bytes(joined.machines[host].pack(boss))
+    machine = joined.restart(host)
+    restored = machine.restore(boss.member, image, boss.limits)
+    assert not machine.goes_on(restored)
+    machine.resume(restored, "RestartException", "it may have been done", "r1")
+    joined.run()
+    assert joined.printed == ["1"]
+    assert joined.kept[3:] == ["drop r0 7", "drop r1 8", "drop r2 9"]
+
+
+def test_a_recovered_one_is_told_and_gives_back_by_the_numbers_that_it_had() -> None:
+    joined = waiting()
+    host, boss = joined.boss
+    image = bytes(joined.machines[host].pack(boss))
+    joined.machines[host].release(boss)
+    restored = joined.machines[host].restore(boss.member, image, boss.limits)
+    restored.block.w[layout.W_GENERATION] = 5
+    joined.machines[host].resume(restored, "RestartException", "it was recovered", recovered=True)
+    joined.run()
+    assert joined.death == "RestartException: it was recovered"
+    assert joined.kept == ["take r0", "take r1", "drop r0 7"]
+
+
+def test_what_a_page_has_of_it_stands_before_what_it_does_behind_take() -> None:
+    """It came to r1 by a hop, so its page is of `take`; a portal that acts needs one of its own."""
+    joined = Reserving(program("reserve (r[1]) { r[1].work(1.0); }"))
+    asked = []
+    joined.places[1].may_begin = lambda agent, acts: asked.append(agent.kept) or True  # type: ignore[method-assign]
+    joined.run()
+    assert asked == [False]
+
+
+def test_so_it_is_behind_a_fetch() -> None:
+    joined = Reserving(program("together { r[1].work(5.0); r[2].work(1.0); } r[1].work(1.0);"))
+    asked = []
+    joined.places[1].may_begin = lambda agent, acts: asked.append(agent.kept) or True  # type: ignore[method-assign]
+    joined.run()
+    assert joined.route == [0, 1, 2, 1]
+    assert asked == [False]
+
+
+def test_calls_of_others_are_those_that_are_not_of_the_coordinator() -> None:
+    joined = Reserving(program("together { r[0].work(5.0); r[1].work(5.0); } r[1].work(5.0);"))
+    joined.still()
+    machine, resource = joined.machines[1], joined.machines[1].agents["r1"]
+    assert not machine.calls_of_others(resource, "pilot")
+    joined.run(until=1.0)
+    assert machine.calls_of_others(resource, "pilot")
+    assert not machine.calls_of_others(resource, "boss")
+    joined.run(until=6.0)
+    boss = machine.agents["boss"]
+    assert (machine.calls_of_others(resource, "pilot"), machine.calls_of_others(resource, "boss")) == (
+        True,
+        False,
+    )
+    # Nobody knows any more whose it is.
+    assert machine.abandon(boss, "RestartException", "it was fenced")
+    assert machine.calls_of_others(resource, "boss")
+    joined.run()
+    assert not machine.calls_of_others(resource, "pilot")
+
+
+def test_a_resource_that_has_died_has_no_calls() -> None:
+    joined = Reserving(program("r[1].work(5.0);"))
+    joined.run(until=1.0)
+    resource = joined.machines[1].agents["r1"]
+    resource.ended = "died"
+    assert not joined.machines[1].calls_of_others(resource, "pilot")
+
+
+@pytest.mark.parametrize(
+    ("word", "value"),
+    [
+        (1, 3),  # a coordinator
+        (1, 4),  # nobody
+        (1, -1),
+        (1, 1),  # twice
+        (2, -7),
+        (2, layout.COUNT_LIMIT),
+        (0, None),  # a number short
+    ],
+)
+def test_what_no_coordinator_can_have_reserved_is_refused(word: int, value: int | None) -> None:
+    joined = waiting()
+    host, boss = joined.boss
+    machine = joined.machines[host]
+    machine.pack(boss)
+    machine.restore(boss.member, bytes(boss.block.image()), boss.limits)
+    w = boss.block.w
+    array = next(
+        place
+        for place in range(boss.block.heap, boss.block.top)
+        if w[place] & 0xFF == layout.ARRAY
+        and w[place] >> 32 == 7
+        and w[place + 1 : place + 7].tolist() == [0, 7, 1, 0, 2, 0]
+    )
+    if value is None:
+        # Its last word is an array without elements.
+        w[array + 6] = w[array] & 0xFFFFFFFF | 1 << 32
+        w[array] -= 1 << 32
+    else:
+        w[array + word] = value
+    with pytest.raises(BlockError, match="reserved is not sound"):
+        machine.restore(boss.member, bytes(boss.block.image()), boss.limits)
