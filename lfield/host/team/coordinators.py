@@ -215,10 +215,9 @@ class Coordinators:
 
         But for what it has begun there it waits as long as ever: that may be there yet.
         """
-        target = self._mission.team.hosts[resource.host]
-        fetches = self._fetches(agent)
         if self._stays(agent):
             return
+        target, fetches = self._mission.team.hosts[resource.host], self._fetches(agent)
         if not fetches and (why := absent.lost(target)):
             self._resume(agent, UNREACHABLE, why)
             return

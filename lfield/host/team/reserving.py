@@ -92,6 +92,9 @@ class Reserving:
         if self._team.trouble:
             reason = f"{self._own.host} can keep nothing: {self._team.trouble}"
             raise Trap(LIMIT, reason, resource.id)
+        if not self._leases.may_begin(agent):
+            # It waits for that first, or was barred and has stopped: it has no place in a queue.
+            return 0
         start = agent.id, agent.generation
         self._waiting[start] = agent
         try:
@@ -117,6 +120,8 @@ class Reserving:
 
     def serves(self, agent: Agent, resource: Member, number: int) -> bool:
         """See `World.serves`."""
+        if not self._leases.may_begin(agent):
+            return False
         start = agent.id, agent.generation
         try:
             serves = self._core.serves(start, resource.id, number, self._clock.monotonic())
