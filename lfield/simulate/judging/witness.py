@@ -115,6 +115,17 @@ def tap(life: Life, sees: Sees) -> None:
         sees.told(life, key)
         go(key)
 
+    for place, wire in (
+        (machine, start), (machine, admit), (machine, restore), (machine, resume), (machine, kept_result),
+        (core, arrived), (core, run), (core.world, write), (core.world, log), (peers, send_transfer),
+    ):  # fmt: skip
+        _tap(place, wire)
+    _tap_reservations(life, sees)
+
+
+def _tap_reservations(life: Life, sees: Sees) -> None:
+    core = life.core
+
     def take(go: Callable[..., int], agent: Agent, resource: Member, *, nested: bool) -> int:
         number = go(agent, resource, nested=nested)
         if number:
@@ -140,11 +151,7 @@ def tap(life: Life, sees: Sees) -> None:
             sees.renewed(message)
         go(host, message)
 
-    for place, wire in (
-        (machine, start), (machine, admit), (machine, restore), (machine, resume), (machine, kept_result),
-        (core, arrived), (core, run), (core.world, write), (core.world, log), (peers, send_transfer),
-        (core.world, take), (core.world, drop), (core.world, serves), (core, received),
-    ):  # fmt: skip
+    for place, wire in ((core.world, take), (core.world, drop), (core.world, serves), (core, received)):
         _tap(place, wire)
 
 
