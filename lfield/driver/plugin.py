@@ -26,9 +26,10 @@ class Plugin:
     """One driver: `PLUGIN = Plugin("servo", "lfield_servo", "lfield_servo.driver:ServoDriver", ...)`.
 
     `package` holds a manifest for each device type, and the folder `L` with the L sources that missions
-    include as `<servo/gripper.L>`. `driver` is the path of the driver's class and `kit` that of its
-    conformance kit (`package.kit:KIT`), both imported only where they run; `extra` is that of lfield with the
-    vendor modules in `requires`, '' for a driver of one's own.
+    include as `<servo/gripper.L>`, and may hold a `capabilities.yaml`: what these can do. `driver` is the
+    path of the driver's class and `kit` that of its conformance kit (`package.kit:KIT`), both imported only
+    where they run; `extra` is that of lfield with the vendor modules in `requires`, '' for a driver of one's
+    own.
     """
 
     name: str
@@ -83,6 +84,14 @@ class Plugin:
         if manifest.device.driver != self.name:
             raise PluginError(f"driver '{self.name}' has the manifest of '{manifest.device.driver}'")
         return manifest
+
+    @property
+    def capabilities(self) -> Path | None:
+        """What its package says of its resource types in a registry file, None when it says nothing."""
+        from importlib.resources import files
+
+        path = Path(str(files(self.package))) / "capabilities.yaml"
+        return path if path.is_file() else None
 
     def source(self, file: str) -> Path | None:
         """The L source that a program includes as `<NAME/file>`, or None when the plugin ships none such."""

@@ -52,6 +52,12 @@ class Plugins:
             for name, manifest in found.manifests.items()
         }
 
+    @property
+    def capabilities(self) -> list[Path]:
+        """What the drivers say in registry files of the resource types that they bring, in a fixed order."""
+        found = (installed.plugin.capabilities for _, installed in sorted(self.by_driver.items()))
+        return [path for path in found if path is not None]
+
     def for_type(self, device_type: str) -> Installed | None:
         """The plugin of a device type."""
         return next((found for found in self.by_driver.values() if device_type in found.manifests), None)

@@ -11,7 +11,6 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Protocol
 
-from lfield.bytecode.program import DeviceCall
 from lfield.capability.directory.directory import Directory, Links
 from lfield.capability.directory.news import News, Reserved
 from lfield.capability.model import Registry
@@ -20,12 +19,9 @@ from lfield.clock import Clock
 from lfield.errors import WireError
 from lfield.host.reports import Reports
 from lfield.host.sampling import Devices, Sampler
-from lfield.manifest import DeviceValue
 from lfield.mission.mission import Mission
 from lfield.mobility.effects import Send
 from lfield.vm.agent import Agent
-from lfield.vm.contract import Reading
-from lfield.vm.world import Pending
 from lfield.wire.fields import age, clip
 from lfield.wire.messages import Hello, Report
 from lfield.wire.observing import Told, ToldFact
@@ -39,16 +35,6 @@ LOOK_EVERY = 1.0
 
 class Neighbours(Devices, Links, Protocol):
     """What a directory may look at: the devices of this host, and its links."""
-
-
-class Nearby(Neighbours, Protocol):
-    """What a host can tell at once, without asking anybody: its telemetry, and how its links are."""
-
-    def query(self, agent: str, call: DeviceCall) -> DeviceValue | Pending:
-        """The value of a query, PENDING for what the device itself must do. Raises DeviceError."""
-
-    def reading(self, agent: str, call: DeviceCall) -> Reading | None:
-        """The reading that the host keeps up to date of such a query; None for what is no plain quantity."""
 
 
 class TeamDirectory:

@@ -87,7 +87,7 @@ TRY_WITHOUT_CATCH = _message(
     "add catch (Exception e) {{ ... }} or finally {{ ... }} after it",
 )
 MISSING_MODIFIER = _message("L215", "{what} begins with public or private", "write: private {text}")
-UNWANTED_MODIFIER = _message("L216", "{what} has no '{word}'", "leave it out{reason}")
+UNWANTED_MODIFIER = _message("L216", "{what} does not begin with '{word}'", "leave it out{reason}")
 FOREIGN_WORD = _message("L217", "L has no '{word}'", "{instead}")
 FOREIGN_OPERATOR = _message("L218", "L has no operator {operator}", "{instead}")
 NO_TERNARY = _message("L219", "L has no ? : expression", "write if (...) x = a; else x = b;")

@@ -12,6 +12,7 @@ from lfield.capability.model import Registry
 from lfield.capability.reading.reader import is_shipped
 from lfield.capability.types.language import RegistryTypes
 from lfield.capability.types.live_units import settle_live
+from lfield.capability.types.program_check import check_types
 from lfield.driver.known import KnownDrivers
 from lfield.driver.plugins import Plugins, discover
 from lfield.errors import (
@@ -52,7 +53,7 @@ def load_mission(
     """
     _check_deployment(deploy)
     plugins = discover()
-    types = _registry_types(capabilities or beside(deploy, CAPABILITIES), deploy)
+    types = _registry_types(capabilities or beside(deploy, CAPABILITIES), deploy, plugins)
     loaded, warnings = _program(program or deploy.with_suffix(".L"), plugins, types)
     deployment = read_deployment(deploy, loaded.units)
     team = team_of(deployment.rows, deployment.kinds, deployment.ports)
@@ -154,7 +155,7 @@ def beside(path: Path, suffix: str) -> Path | None:
     return found if found.exists() else None
 
 
-def _registry_types(mission: Path | None, deploy: Path | None) -> RegistryTypes:
+def _registry_types(mission: Path | None, deploy: Path | None, plugins: Plugins) -> RegistryTypes:
     """The registry with what a mission adds to it; ours alone is read only when a program names a capability.
 
     What the mission adds is looked at in any case: whoever has written it wants to hear what is wrong there.
@@ -164,12 +165,13 @@ def _registry_types(mission: Path | None, deploy: Path | None) -> RegistryTypes:
     def read() -> Registry:
         from lfield.capability.reading.reader import read_registry
 
-        return read_registry(mission=mission, agents=None if deploy is None else agents_of(deploy))
+        agents = None if deploy is None else agents_of(deploy)
+        return read_registry(mission=mission, agents=agents, libraries=plugins.capabilities)
 
     if mission is None:
         return RegistryTypes(read)
     whole = read()
-    return RegistryTypes(lambda: whole)
+    return RegistryTypes(lambda: whole, own=mission)
 
 
 def _settled(registry: Registry, program: Program, plugins: Plugins) -> Registry:
@@ -231,15 +233,20 @@ def compile_file(
 
     look_at(path)
     known = plugins if plugins is not None else discover()
+    capabilities = types or _registry_types(beside(path, CAPABILITIES), beside(path, ".dL"), known)
     checked = check_program(
-        path,
-        devices=known.device_types,
-        find_include=known.find_source,
-        capabilities=types or _registry_types(beside(path, CAPABILITIES), beside(path, ".dL")),
+        path, devices=known.device_types, find_include=known.find_source, capabilities=capabilities
     )
     if checked.program is None:
         raise ProgramError(checked.diagnostics)
-    return compile_program(checked.program), checked.diagnostics
+    program = compile_program(checked.program)
+    if capabilities.own is not None:
+        found = Diagnostics()
+        resources = [name for name, kind in program.units.items() if kind == "resource"]
+        check_types(capabilities.registry, capabilities.own, resources, known.find_source, found)
+        if found.errors:
+            raise ProgramError([*checked.diagnostics, *found.in_order()])
+    return program, checked.diagnostics
 
 
 def mission_problems(deploy: Path) -> list[Finding]:

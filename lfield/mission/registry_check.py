@@ -9,7 +9,7 @@ from lfield.capability.model import Registry
 from lfield.capability.reading.reader import check_files, shipped
 from lfield.capability.reading.signatures import Signature, signatures_of
 from lfield.capability.types.live_units import settle_live
-from lfield.capability.types.program_check import check_against, check_classes
+from lfield.capability.types.program_check import check_against, check_classes, check_types
 from lfield.driver.plugins import discover
 from lfield.lang.includes import FileSet
 from lfield.lang.syntax import File
@@ -23,22 +23,28 @@ def check_registry(
 ) -> list[Diagnostic]:
     """What is wrong with some files together with those that come with lfield, unless they stand `alone`.
 
-    A file named `NAME.capabilities.yaml` is a mission's: it may override the others, and its agents are those
-    of `NAME.dL` beside it. Raises InputFileError for a file that cannot be read.
+    A file named `NAME.capabilities.yaml` is a mission's: it may override the others, its agents are those of
+    `NAME.dL` beside it, and without a `program` its program is `NAME.L` there. Raises InputFileError for a
+    file that cannot be read.
     """
     missions = [path for path in files if path.name.endswith(CAPABILITIES)]
-    ours = [] if alone else shipped()
+    plugins = discover()
+    ours = [] if alone else [*shipped(), *plugins.capabilities]
     known = {path.resolve() for path in ours}
     base = [*ours, *(path for path in files if path not in missions and path.resolve() not in known)]
     found = Diagnostics()
-    signatures = {} if program is None else signatures_of(program_files(program, found))
     each: Sequence[Path | None] = missions or [None]
     for mission in each:
+        chosen = program or _beside(mission, ".L")
+        units = None if chosen is None else signatures_of(program_files(chosen, found))
         registry, mistakes = check_files(base, mission=mission, agents=_agents(mission))
         for mistake in mistakes:
             found.add(mistake)
         if registry is not None:
-            _check_calls(registry, signatures, found)
+            _check_calls(registry, units or {}, found)
+        if registry is not None and mission is not None and units is not None:
+            own = [name for name, unit in units.items() if unit.kind == "resource"]
+            check_types(registry, mission, own, plugins.find_source, found)
     return _once(found.in_order())
 
 
@@ -63,6 +69,13 @@ def _check_calls(registry: Registry, signatures: Mapping[str, Signature], found:
 
 def _agents(mission: Path | None) -> list[str] | None:
     """The ids in the deployment beside a mission's file; None when there is none to be read."""
+    deployment = _beside(mission, ".dL")
+    return None if deployment is None else agents_of(deployment)
+
+
+def _beside(mission: Path | None, suffix: str) -> Path | None:
+    """Another file of the mission, if there is one."""
     if mission is None:
         return None
-    return agents_of(mission.with_name(f"{mission.name.removesuffix(CAPABILITIES)}.dL"))
+    path = mission.with_name(f"{mission.name.removesuffix(CAPABILITIES)}{suffix}")
+    return path if path.exists() else None

@@ -9,6 +9,7 @@ from lfield.capability.directory.directory import Deployed, live_attributes
 from lfield.capability.model import Attribute, Registry
 from lfield.capability.offer import Candidate, Fact
 from lfield.capability.reading.reader import read_registry
+from lfield.driver.plugins import discover
 from lfield.errors import LfieldError, UsageError
 from lfield.mission import bundle
 from lfield.mission.load import CAPABILITIES, beside
@@ -46,7 +47,11 @@ def mission_registry(mission: Path, team: Team, capabilities: Path | None = None
             )
         return registry
     added = capabilities or beside(mission, CAPABILITIES)
-    return read_registry(mission=added, agents=[agent.id for agent in team.deployed])
+    return read_registry(
+        mission=added,
+        agents=[agent.id for agent in team.deployed],
+        libraries=discover().capabilities,
+    )
 
 
 def from_files(registry: Registry, agents: Sequence[Deployed], at: str = "") -> Roster:

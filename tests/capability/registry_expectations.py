@@ -9,7 +9,7 @@ from lfield.capability.model import Registry
 from lfield.capability.reading.reader import check_files
 from lfield.capability.reading.signatures import signatures_of
 from lfield.capability.types.live_units import settle_live
-from lfield.capability.types.program_check import check_against, check_classes
+from lfield.capability.types.program_check import check_against, check_classes, check_types
 from lfield.lang.parser import parse
 from lfield.manifest import DeviceManifest, Quantity
 from lfield.text.source import Diagnostic, Diagnostics, Source
@@ -49,10 +49,10 @@ def findings(case: Path) -> list[Diagnostic]:
         [BASE, *(path for path in files if path != mission)], mission=mission, agents=AGENTS
     )
     program = case / "program.L"
-    return found + (_against(registry, program) if registry is not None else [])
+    return found + (_against(registry, program, mission) if registry is not None else [])
 
 
-def _against(registry: Registry, program: Path) -> list[Diagnostic]:
+def _against(registry: Registry, program: Path, mission: Path | None) -> list[Diagnostic]:
     found = Diagnostics()
     check_classes(registry, found)
     if program.exists():
@@ -60,6 +60,9 @@ def _against(registry: Registry, program: Path) -> list[Diagnostic]:
         check_against(registry, signatures, found)
         devices = {name: signature.devices for name, signature in signatures.items()}
         settle_live(registry, devices, {"Rover": ROVER}, found)
+        if mission is not None:
+            library = {"hall/lorry.L": program.with_name("lorry.L")}
+            check_types(registry, mission, signatures, library.get, found)
     return found.in_order()
 
 

@@ -142,6 +142,17 @@ def test_a_reserve_takes_inside_and_drops_on_every_way() -> None:
     assert (first, reserved) == (second, ["reserved", "^3"])
 
 
+def test_what_is_collected_begins_before_a_method_that_reserves() -> None:
+    text = boss("together { arm.stop(); kept(arm); }", "private void kept(Arm arm) { reserve (arm) { } }")
+    words = [line.split(",")[0] for line in instructions(compile_text(text), "Boss.work")]
+    assert [word for word in words if word in ("begin", "start", "call", "fetch")] == [
+        "begin",
+        "start",
+        "call",
+        "fetch",
+    ]
+
+
 def test_one_drop_serves_all_ways_out() -> None:
     ways = "if (sum.a > 1) break; if (sum.a > 2) return; continue;"
     assert heads(f"while (true) {{ reserve (arm) {{ {ways} }} }}") == ["hold", "take", "drop"]

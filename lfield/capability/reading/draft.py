@@ -32,13 +32,21 @@ MAX_ENTRIES = 5000
 #: Longest name of anything in a registry, in characters.
 MAX_NAME = 80
 
-#: Dotted, as in the taxonomy; a name in L that begins small; a type in L; a rule, a need, an agent.
+#: Dotted, as in the taxonomy; a name in L that begins small, one as L has it; a type in L; a rule, a need, an
+#: agent.
 DOTTED = re.compile(r"[a-z][a-z0-9_]*(\.[a-z][a-z0-9_]*)*")
 NAME = re.compile(r"[a-z][A-Za-z0-9_]*")
+PORTAL = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 TYPE_NAME = re.compile(r"[A-Z][A-Za-z0-9]*")
 RULE = re.compile(r"[a-z][a-z0-9]*(-[a-z0-9]+)*")
 
-_EXAMPLES = {DOTTED: "skill.security.sentry", NAME: "goTo", TYPE_NAME: "GoTo", RULE: "grip-and-climb"}
+_EXAMPLES = {
+    DOTTED: "skill.security.sentry",
+    NAME: "goTo",
+    PORTAL: "goTo",
+    TYPE_NAME: "GoTo",
+    RULE: "grip-and-climb",
+}
 
 
 D = TypeVar("D", Attribute, Primitive)
@@ -93,7 +101,7 @@ class Draft:
         if len(name) > MAX_NAME or not pattern.fullmatch(name):
             shown = name if len(name) <= MAX_NAME else f"{name[:MAX_NAME]}..."
             self.tell(messages.BAD_NAME, span, name=shown, what=what, example=_EXAMPLES[pattern])
-        elif pattern is NAME and name in KEYWORDS:
+        elif pattern in (NAME, PORTAL) and name in KEYWORDS:
             self.tell(messages.KEYWORD, span, name=name, what=what)
 
     def twice(self, what: str, name: str, span: Span, first: Span) -> None:

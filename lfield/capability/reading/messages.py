@@ -103,6 +103,11 @@ BAD_ARGUMENT = _message(
     "{given} is no argument",
     "write the name of a parameter, a number, true, false, {{parameter: x, unit: mm}} or {{constant: x}}",
 )
+WRONG_UNIT = _message(
+    "C148",
+    "{what} is in {wanted}, and this is in {given}",
+    "write {{parameter: x, unit: {wanted}}}, or emit: {{unit: {given}}}; only a class in L converts arrays",
+)
 
 # --- C15x: rules ----------------------------------------------------------------------------------------
 
@@ -144,6 +149,11 @@ NO_QUANTITY = _message(
     "C173", "{device}, a {device_type}, does not tell '{quantity}'", "it tells {quantities}"
 )
 WRONG_QUANTITY = _message("C174", "'{attribute}' is {wanted}, and {quantity} is {given}")
+NO_TYPE = _message("C175", "the program has no resource type '{type}'", "a type of a library says 'include'")
+NO_LIBRARY = _message(
+    "C176", "no driver brings a file '{path}'", "leave 'include' out for a type of the mission's own"
+)
+NOT_IN_LIBRARY = _message("C177", "there is no resource type '{type}' in {path}")
 
 # --- C19x: warnings -------------------------------------------------------------------------------------
 

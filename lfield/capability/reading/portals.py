@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from lfield.capability.model import Argument, Portal, PortalMap, Primitive
 from lfield.capability.reading import messages
-from lfield.capability.reading.draft import NAME, Draft
+from lfield.capability.reading.draft import PORTAL, Draft
 from lfield.capability.reading.values import read_conversion
 from lfield.text.source import Span
 from lfield.text.suggest import listed
@@ -51,11 +51,11 @@ def same_name(portal: Portal, span: Span, target: str = "") -> PortalMap:
 def _map(draft: Draft, entry: Entry, primitive: Primitive, portal: Portal) -> PortalMap:
     node, span = entry.value, entry.key_span
     if isinstance(node, Scalar) and isinstance(node.value, str):
-        draft.check_name(node.value, NAME, "a portal", node.span)
+        draft.check_name(node.value, PORTAL, "a portal", node.span)
         return same_name(portal, span, node.value)
     fields = Fields(node, draft.found, f"'{entry.key}'")
     target = fields.text("portal", portal.name)
-    draft.check_name(target, NAME, "a portal", fields.value_span("portal"))
+    draft.check_name(target, PORTAL, "a portal", fields.value_span("portal"))
     arguments = same_name(portal, span).arguments
     if "arguments" in fields:
         arguments = tuple(_argument(draft, item, primitive, portal) for item in fields.items("arguments"))

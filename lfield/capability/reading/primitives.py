@@ -16,7 +16,7 @@ from typing import cast, get_args
 
 from lfield.capability.model import Portal, Primitive
 from lfield.capability.reading import messages
-from lfield.capability.reading.draft import NAME, TYPE_NAME, Draft
+from lfield.capability.reading.draft import NAME, PORTAL, TYPE_NAME, Draft
 from lfield.capability.reading.signatures import PORTAL_TYPES, RESERVED_TYPES
 from lfield.capability.reading.values import check_unit
 from lfield.lang.capabilities import OFFER_METHODS
@@ -52,7 +52,7 @@ def _primitive(draft: Draft, entry: Entry, fields: Fields) -> Primitive:
 
 def _portal(draft: Draft, entry: Entry, fields: Fields) -> Portal:
     name, span = entry.key, entry.key_span
-    draft.check_name(name, NAME, "a portal", span)
+    draft.check_name(name, PORTAL, "a portal", span)
     if name in OFFER_METHODS:
         draft.tell(messages.RESERVED_PORTAL, span, name=name)
     parameters = tuple(_parameter(draft, p, f) for p, f in fields.section("parameters").entries())

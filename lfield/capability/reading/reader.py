@@ -37,6 +37,9 @@ from lfield.text.source import Diagnostic, Diagnostics
 from lfield.text.yaml_fields import Fields
 from lfield.text.yaml_source import Scalar, read
 
+#: What a driver's package says of the resource types in its folder `L`, beside that folder.
+OF_DRIVER = "capabilities.yaml"
+
 #: The version of the format.
 VERSION = 1
 
@@ -51,13 +54,14 @@ def read_registry(
     *,
     mission: Path | None = None,
     agents: Collection[str] | None = None,
+    libraries: Sequence[Path] = (),
 ) -> Registry:
     """The registry in some files, those that come with lfield when none are given, and in a mission's own.
 
-    `agents` are the agents of the deployment. Raises ProgramError with all mistakes in all files, and
-    InputFileError for a file that cannot be read.
+    `agents` are the agents of the deployment, `libraries` the files of installed drivers. Raises ProgramError
+    with all mistakes in all files, and InputFileError for a file that cannot be read.
     """
-    registry, found = check_files(files, mission=mission, agents=agents)
+    registry, found = check_files(files, mission=mission, agents=agents, libraries=libraries)
     if registry is None:
         raise ProgramError([d for d in found if d.severity == "error"])
     return registry
@@ -68,10 +72,11 @@ def check_files(
     *,
     mission: Path | None = None,
     agents: Collection[str] | None = None,
+    libraries: Sequence[Path] = (),
 ) -> tuple[Registry | None, list[Diagnostic]]:
     """As `read_registry`, with everything found, warnings too; the registry is None when there are errors."""
     found = Diagnostics()
-    paths = [(path, False) for path in (shipped() if files is None else files)]
+    paths = [(path, False) for path in (*(shipped() if files is None else files), *libraries)]
     if mission is not None:
         paths.append((mission, True))
     opened = (_open(path, is_mission, found) for path, is_mission in paths)
@@ -134,8 +139,9 @@ def shipped_folder() -> Path:
 
 
 def is_shipped(finding: Diagnostic) -> bool:
-    """Whether a finding is about a file that comes with lfield."""
-    return Path(finding.span.source.name).parent == shipped_folder()
+    """Whether a finding is about a file that comes with lfield or with a driver."""
+    path = Path(finding.span.source.name)
+    return path.parent == shipped_folder() or path.name == OF_DRIVER
 
 
 def shipped() -> list[Path]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
 
-from lfield.capability import ways
+from lfield.capability import units, ways
 from lfield.capability.model import Argument, Equivalence, Portal, PortalMap, Primitive
 from lfield.capability.reading import messages
 from lfield.capability.reading.draft import Draft
@@ -27,7 +27,7 @@ def check_calls(draft: Draft, rule: Equivalence, serves: Primitive, by: Primitiv
         target = by.portals.get(served.target)
         if target is not None:
             _check_arguments(draft, served, portal, target, f"{by.name}.{target.name}")
-            _check_result(draft, served, serves.name, portal, target.result)
+            _check_result(draft, served, serves.name, portal, target)
         elif served.span is rule.span:
             missing.append(name)
         else:
@@ -38,11 +38,16 @@ def check_calls(draft: Draft, rule: Equivalence, serves: Primitive, by: Primitiv
         )
 
 
-def _check_result(draft: Draft, served: PortalMap, primitive: str, portal: Portal, emitted: str) -> None:
-    """Report a portal that would not give the caller what the canonical one emits."""
-    given = result_type(served.result, portal, emitted)
-    if portal.result != "void" and not fits(given, portal.result):
+def _check_result(draft: Draft, served: PortalMap, primitive: str, portal: Portal, target: Portal) -> None:
+    """Report a portal that would not give the caller what the canonical one emits, in its unit."""
+    if portal.result == "void":
+        return
+    given, result = result_type(served.result, portal, target.result), served.result
+    if not fits(given, portal.result):
         draft.found.add(wrong_result(served.span, primitive, portal, given))
+    elif result is None or (not result.parameter and result.constant is None):
+        what = f"what {primitive}.{portal.name} emits"
+        _check_unit(draft, served.span, result or Argument(), target.unit, portal.unit, what)
 
 
 def wrong_result(span: Span, primitive: str, portal: Portal, given: str) -> Diagnostic:
@@ -68,24 +73,34 @@ def result_type(result: Argument | None, portal: Portal, emitted: str) -> str:
 
 
 def _check_arguments(draft: Draft, served: PortalMap, portal: Portal, target: Portal, shown: str) -> None:
-    wanted = [p.type for p in target.parameters]
-    if len(served.arguments) != len(wanted):
+    if len(served.arguments) != len(target.parameters):
         draft.tell(
             messages.WRONG_COUNT,
             served.span,
             target=shown,
-            wanted=len(wanted),
+            wanted=len(target.parameters),
             given=len(served.arguments),
             parameters=listed((f"{p.type} {p.name}" for p in target.parameters), "nothing"),
         )
         return
-    for number, (argument, type) in enumerate(zip(served.arguments, wanted, strict=True), 1):
-        _check_argument(draft, served.span, argument_type(argument, portal), type, number, shown)
+    for number, (argument, parameter) in enumerate(zip(served.arguments, target.parameters, strict=True), 1):
+        given = argument_type(argument, portal)
+        _check_argument(draft, served.span, given, parameter.type, number, shown)
+        own = [p.unit for p in portal.parameters if p.name == argument.parameter]
+        if own and fits(given, parameter.type):
+            what = f"argument {number} of {shown}"
+            _check_unit(draft, served.span, argument, own[0], parameter.unit, what)
 
 
 def _check_argument(draft: Draft, span: Span, given: str, wanted: str, number: int, target: str) -> None:
     if not fits(given, wanted):
         draft.tell(messages.WRONG_ARGUMENT, span, number=number, target=target, wanted=wanted, given=given)
+
+
+def _check_unit(draft: Draft, span: Span, given: Argument, unit: str, wanted: str, what: str) -> None:
+    """Report a number in `unit` that is given, converted or not, where another one is wanted."""
+    if units.conversion(unit, wanted) != (given.factor, given.offset):
+        draft.tell(messages.WRONG_UNIT, span, what=what, wanted=wanted or "1", given=unit or "1")
 
 
 # --- names ---------------------------------------------------------------------------------------------

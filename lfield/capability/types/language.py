@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
 from functools import cached_property
+from pathlib import Path
 
 from lfield.capability.condition import Mistake
 from lfield.capability.matching import expression
@@ -22,11 +23,11 @@ from lfield.text.source import Diagnostic, Diagnostics, Source, Span
 class RegistryTypes:
     """The capabilities of a registry that is read when the first of them is asked for.
 
-    Reading raises what `read` raises, ProgramError for one.
+    Reading raises what `read` raises, ProgramError for one. `own` is the file with what a mission adds.
     """
 
-    def __init__(self, read: Callable[[], Registry]) -> None:
-        self._read = read
+    def __init__(self, read: Callable[[], Registry], *, own: Path | None = None) -> None:
+        self._read, self.own = read, own
 
     @cached_property
     def registry(self) -> Registry:

@@ -6,7 +6,8 @@ where the promise is made.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
+from pathlib import Path
 
 from lfield.capability.model import Composition, Portal, PortalMap, Primitive, Provider, Registry
 from lfield.capability.reading import messages
@@ -33,6 +34,37 @@ def check_against(registry: Registry, signatures: Mapping[str, Signature], found
         resource = signatures.get(provider.type)
         if resource is not None and resource.kind == "resource":
             _check_provider(registry, provider, resource, found)
+
+
+def check_types(
+    registry: Registry,
+    mission: Path,
+    own: Collection[str],
+    find_source: Callable[[str], Path | None],
+    found: Diagnostics,
+) -> None:
+    """Report providers in the file of a mission that are types neither of its program nor of a library.
+
+    `own` are the resource types of the program, `find_source` maps the path of an include to its file.
+    """
+    told = [p for p in registry.providers.values() if p.span.source.name == str(mission)]
+    others = registry.providers.keys() - {provider.type for provider in told}
+    for provider in told:
+        if provider.type in own:
+            continue
+        if not provider.include:
+            hint = did_you_mean(provider.type, sorted({*own, *others}))
+            found.add(messages.NO_TYPE.at(provider.span, hint=hint, type=provider.type))
+            continue
+        path = find_source(provider.include)
+        if path is None:
+            found.add(messages.NO_LIBRARY.at(provider.span, path=provider.include))
+        elif provider.type not in (units := _units(path) or {}):
+            hint = did_you_mean(provider.type, units) or f"it has {listed(units)}"
+            message = messages.NOT_IN_LIBRARY.at(
+                provider.span, hint=hint, path=provider.include, type=provider.type
+            )
+            found.add(message)
 
 
 def _check_provider(registry: Registry, provider: Provider, resource: Signature, found: Diagnostics) -> None:
@@ -93,7 +125,7 @@ def check_classes(registry: Registry, found: Diagnostics) -> None:
     Reads the sources. What else is wrong in them is said when a program uses them.
     """
     for rule in registry.compositions.values():
-        units = _units(rule)
+        units = _units(rule.source)
         if units is None:
             continue
         unit = units.get(rule.through)
@@ -103,13 +135,13 @@ def check_classes(registry: Registry, found: Diagnostics) -> None:
             _check_class(rule, registry.primitives[rule.serves], unit, found)
 
 
-def _units(rule: Composition) -> dict[str, Signature] | None:
-    """The units in the source of a rule; None when it cannot be read as L."""
+def _units(path: Path) -> dict[str, Signature] | None:
+    """The units in a source; None when it cannot be read as L."""
     try:
-        text = read_bytes(rule.source, MAX_TEXT).decode("utf-8")
+        text = read_bytes(path, MAX_TEXT).decode("utf-8")
     except (InputFileError, UnicodeDecodeError):
         return None
-    file = parse(Source(str(rule.source), text), Diagnostics())
+    file = parse(Source(str(path), text), Diagnostics())
     return None if file.broken else signatures_of([file])
 
 

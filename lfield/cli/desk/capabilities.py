@@ -52,9 +52,10 @@ def run(args: argparse.Namespace) -> int:
 def _tree(args: argparse.Namespace) -> int:
     from lfield.capability.reading.reader import read_registry
     from lfield.cli.views.trees import print_tree
+    from lfield.driver.plugins import discover
     from lfield.operator.registry.taxonomy import term_of, tree
 
-    registry = read_registry(mission=args.capabilities)
+    registry = read_registry(mission=args.capabilities, libraries=discover().capabilities)
     term = term_of(registry, args.id) if args.id else None
     if args.id and term is None:
         raise _unknown(registry, args.id)
@@ -66,11 +67,12 @@ def _tree(args: argparse.Namespace) -> int:
 
 def _show(args: argparse.Namespace) -> int:
     from lfield.capability.reading.reader import read_registry
+    from lfield.driver.plugins import discover
     from lfield.operator.registry.sheets import describe, in_terminal
 
     if args.program is not None:
         raise UsageError("--program is for the class of a capability: give --L too")
-    registry = read_registry(mission=args.capabilities)
+    registry = read_registry(mission=args.capabilities, libraries=discover().capabilities)
     sheets = describe(registry, args.name)
     if not sheets:
         raise _unknown(registry, args.name)
@@ -83,11 +85,12 @@ def _show_class(args: argparse.Namespace) -> int:
     from lfield.capability.reading.reader import read_registry
     from lfield.capability.types.generate import Served, class_text
     from lfield.capability.types.language import RegistryTypes
+    from lfield.driver.plugins import discover
     from lfield.errors import ProgramError
     from lfield.mission.registry_check import program_files
     from lfield.text.source import Diagnostics
 
-    registry = read_registry(mission=args.capabilities)
+    registry = read_registry(mission=args.capabilities, libraries=discover().capabilities)
     if args.name not in registry.primitives:
         raise _unknown(registry, args.name)
     if args.program is None:

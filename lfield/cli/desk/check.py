@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 import sys
+from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -28,15 +30,25 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """0 when there are no errors, else 65."""
-    # A deployment leads to its program, which may be named beside it: what is wrong there is told once.
-    found = {finding.render(): finding for path in args.files for finding in _findings(path)}
-    errors = sum(finding.severity == "error" for finding in found.values())
+    found = _once(finding for path in args.files for finding in _findings(path))
+    errors = sum(finding.severity == "error" for finding in found)
     if args.json:
-        print(json.dumps([finding.as_data() for finding in found.values()], indent=2))
+        print(json.dumps([finding.as_data() for finding in found], indent=2))
     elif found:
-        print("\n".join(found), file=sys.stderr)
+        print("\n".join(finding.render() for finding in found), file=sys.stderr)
         print(f"lfield: {errors} error(s), {len(found) - errors} warning(s)", file=sys.stderr)
     return exits.DATA if errors else exits.DONE
+
+
+def _once(findings: Iterable[Finding]) -> list[Finding]:
+    """Each finding once: a deployment leads to its program, which may be named beside it, and otherwise."""
+    found: dict[str, Finding] = {}
+    for finding in findings:
+        data = finding.as_data()
+        if data.get("file"):
+            data["file"] = os.path.realpath(str(data["file"]))
+        found.setdefault(json.dumps(data, sort_keys=True), finding)
+    return list(found.values())
 
 
 def _findings(path: Path) -> list[Finding]:

@@ -145,3 +145,5 @@ def _frame_lines(frame: FrameView) -> Iterator[str]:
         yield f"       {name} = {value}"
     for call in frame.calls:
         yield f"       together: {call}"
+    for kept in frame.reserved:
+        yield f"       reserved: {kept}"

@@ -173,7 +173,7 @@ def _field(s: TokenStream, made: Unit, modifiers: _Modifiers, declared: TypeName
 
 def _portal(s: TokenStream, made: Unit, modifiers: _Modifiers) -> None:
     for word, token in modifiers.given.items():
-        place = ": write portal synchronized" if word == "synchronized" else ": every portal is public"
+        place = ", or write portal synchronized" if word == "synchronized" else ": every portal is public"
         _unwanted(s, token, "a portal", place)
     synchronized = s.accept("synchronized")
     name = s.expect_name("the name of the portal")

@@ -15,6 +15,7 @@ from lfield.bytecode.program import (
     PROXY,
     REAL,
     REFERENCES,
+    RESERVED,
     STRING,
     TICKET,
     MethodRecord,
@@ -50,7 +51,8 @@ _TICKET_STATES = {
 class FrameView:
     """One activation record: `Owner.method`, where it stands, the source line, and its named slots.
 
-    `calls` are those of each `together` that it is in, with what has become of them.
+    `calls` are those of each `together` that it is in, with what has become of them; `reserved` is what each
+    `reserve` has.
     """
 
     method: str
@@ -59,6 +61,7 @@ class FrameView:
     text: str
     locals: tuple[tuple[str, str], ...]
     calls: tuple[str, ...] = ()
+    reserved: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -148,6 +151,7 @@ class _Decoder:
                     self.source(at.method, at.line),
                     shown,
                     tuple(self.calls(method, at.frame)),
+                    tuple(self.reserved(method, at.frame)),
                 )
             )
         return ThreadView(
@@ -160,6 +164,15 @@ class _Decoder:
             sentinel = self.block.w[frame + FRAME_SLOTS + slot]
             if self.program.core.types[kind].kind == TICKET and sentinel:
                 yield from (self.call(ticket) for ticket in collected(self.block, sentinel))
+
+    def reserved(self, method: MethodRecord, frame: int) -> Iterator[str]:
+        """What the reserves of a frame keep; what they have not got, or not any more, is left out."""
+        w = self.block.w
+        for row in method.handlers:
+            array = w[frame + FRAME_SLOTS + row.slot] if row.kind == RESERVED else 0
+            for place in range(array + 1, array + (w[array] >> 32) - 1, 2) if array else ():
+                if w[place + 1] and 0 <= w[place] < len(self.members):
+                    yield f"{self.members[w[place]]}, by number {w[place + 1]}"
 
     def call(self, ticket: int) -> str:
         """One call of a together: which portal, and how far it is."""

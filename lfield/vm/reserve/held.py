@@ -8,7 +8,7 @@ Nothing else is kept of a reservation, here or elsewhere in a block.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from typing import NamedTuple
 
 from lfield.bytecode.program import RESERVED, Program
@@ -43,14 +43,17 @@ class Held:
 
     def number(self, agent: Agent, resource: Member) -> int:
         """The number by which a coordinator has a resource; 0: it has not reserved it."""
-        return next((number for held, number in self.of(agent) if held is resource), 0)
+        return _number(agent.block.w, self.around(agent), resource)
 
     def wanted(self, agent: Agent) -> Entry | None:
         """What a coordinator that stands at `take` has to take next; None when it has all."""
-        has = {resource.number for resource, _ in self.of(agent)}
-        own = next(self.around(agent), 0)
-        waiting = (one for one in self.entries(agent, own) if not one.number) if own else iter(())
-        return next((one for one in waiting if one.resource.number not in has), None)
+        w = agent.block.w
+        own, *outer = list(self.around(agent)) or [0]
+        numbers = w[own + 2 : own + (w[own] >> 32) : 2].tolist() if own else []
+        if 0 not in numbers:
+            return None
+        waiting = (one for one in self.entries(agent, own, numbers.index(0)) if not one.number)
+        return next((one for one in waiting if not _number(w, outer, one.resource)), None)
 
     def nested(self, agent: Agent) -> bool:
         """Whether a coordinator that stands at `take` has a reservation of a block further out."""
@@ -70,11 +73,25 @@ class Held:
             if row.kind == RESERVED and (array := w[frame + FRAME_SLOTS + row.slot]):
                 yield array
 
-    def entries(self, agent: Agent, array: int) -> Iterator[Entry]:
-        """What an array has. A program that no compiler of ours made may have put anything into it."""
+    def entries(self, agent: Agent, array: int, first: int = 0) -> Iterator[Entry]:
+        """What an array has, from the one at `first` on.
+
+        A program that no compiler of ours made may have put anything into it.
+        """
         w = agent.block.w
-        for word in range(array + 1, array + (w[array] >> 32) - 1, 2):
+        for word in range(array + 1 + 2 * first, array + (w[array] >> 32) - 1, 2):
             member, number = w[word], w[word + 1]
             known = 0 <= member < len(self._team) and self._team[member].kind == "resource"
             if known and 0 <= number < COUNT_LIMIT:
                 yield Entry(self._team[member], number, word + 1)
+
+
+def _number(w: memoryview[int], arrays: Iterable[int], resource: Member) -> int:
+    """The number that some arrays have for a resource, 0 for none. Each call asks this: it is quick."""
+    for array in arrays:
+        members = w[array + 1 : array + (w[array] >> 32) - 1 : 2].tolist()
+        if resource.number in members:
+            number: int = w[array + 2 + 2 * members.index(resource.number)]
+            if 0 < number < COUNT_LIMIT:
+                return number
+    return 0

@@ -73,3 +73,20 @@ def test_what_not_every_vehicle_has_is_asked_for(name: str, primitive: str) -> N
     assert condition is not None
     assert condition.text == f"tools == {tool}"
     assert provider.attributes["tools"] == frozenset()
+
+
+def test_every_primitive_is_served_by_a_stock_resource_or_by_a_rule_over_them() -> None:
+    served: set[str] = set()
+    while new := sorted(_served_by(served) - served):
+        served |= set(new)
+    assert REGISTRY.primitives.keys() == served
+
+
+def _served_by(served: set[str]) -> set[str]:
+    """What stock resources serve, and what rules make of what is `served`."""
+    found = {name for provider in REGISTRY.providers.values() for name in provider.serves}
+    found |= {rule.serves for rule in REGISTRY.equivalences.values() if rule.by in served}
+    for rule in REGISTRY.compositions.values():
+        if all(need.primitive in served for need in rule.needs.values()):
+            found.add(rule.serves)
+    return found

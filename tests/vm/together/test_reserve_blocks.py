@@ -2,10 +2,18 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from joined_hosts import Collecting
 from reserving_hosts import Reserving, program
 
 from lfield.errors import BlockError
+from lfield.vm import machine as machine_module
+from lfield.vm.contract import Limits
+from lfield.vm.inspect.decode import view
 from lfield.vm.memory import layout
 
 BODY = """
@@ -43,6 +51,12 @@ def test_what_it_has_is_told_wherever_it_stands() -> None:
     whole = (("r0", 7), ("r1", 8), ("r2", 9))
     assert list(dict.fromkeys(seen)) == [(("r0", 7),), (("r0", 7), ("r1", 8)), whole]
     assert joined.printed == ["0", "1", "behind"]
+
+
+def test_what_is_inspected_says_what_is_reserved() -> None:
+    joined = waiting()
+    shown = view(joined.boss[1].block, joined.program, [member.id for member in joined.team])
+    assert shown.threads[0].frames[0].reserved == ("r0, by number 7",)
 
 
 def test_a_restored_one_goes_on_taking_by_itself() -> None:
@@ -170,3 +184,82 @@ def test_what_no_coordinator_can_have_reserved_is_refused(word: int, value: int 
         w[array + word] = value
     with pytest.raises(BlockError, match="reserved is not sound"):
         machine.restore(boss.member, bytes(boss.block.image()), boss.limits)
+
+
+LONG = """
+for (int i = 0; i < 3; i += 1) {
+  reserve (reversed()) {
+    print(new Pair(r[0], r[2]).both());
+    try { reserve (r[i]) { r[i].work(0.5); if (i == 1) continue; r[i].own(i); } }
+    catch (Own o) { print(o.n + early(r[1])); }
+    within (3.0) { together { for (Post one : r) one.work(1.0); } }
+  }
+}
+reserve (new Post[] {r[2]}) {
+  try { within (1.0) { reserve (r) { r[1].heed(9.0); } } }
+  catch (TimeLimitException e) { print(r[2].count()); }
+}
+"""
+
+
+class CollectingReserving(Collecting, Reserving):
+    """Both."""
+
+
+def whole(joined: Reserving) -> tuple[list[str], list[str], dict[str, int]]:
+    joined.run()
+    return joined.printed, joined.book.log, joined.book.held
+
+
+@pytest.mark.parametrize("kind", [Reserving, CollectingReserving])
+@pytest.mark.parametrize("slice_length", [1, 2, 3, 17])
+def test_wherever_it_is_interrupted_the_same_is_asked(
+    kind: type[Reserving], slice_length: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    expected = whole(Reserving(program(LONG)))
+    assert len(expected[0]) == 7
+    assert not expected[2]
+    monkeypatch.setattr(machine_module, "SLICE", slice_length)
+    monkeypatch.setattr(machine_module, "ROUND", 1 if kind is CollectingReserving else 200)
+    assert whole(kind(program(LONG))) == expected
+
+
+@cache
+def images() -> tuple[tuple[int, bytes], ...]:
+    """Every block that has travelled, and where to."""
+    found: list[tuple[int, bytes]] = []
+
+    class Noting(Reserving):
+        def leave(self, source, agent, target):  # type: ignore[no-untyped-def]
+            found.append((target, bytes(self.machines[source].pack(agent))))
+            super().leave(source, agent, target)
+
+    Noting(program(LONG)).run()
+    return tuple(found)
+
+
+@settings(max_examples=150, deadline=None)
+@given(st.data())
+def test_hostile_reservations_are_refused_or_harmless(data: st.DataObject) -> None:
+    """Whatever a peer changes in a block that carries reservations: BlockError, or a run like any other."""
+    target, sound = data.draw(st.sampled_from(images()))
+    image = bytearray(sound)
+    for _ in range(data.draw(st.integers(1, 3))):
+        word = data.draw(st.integers(0, len(image) // 8 - 1))
+        old = int.from_bytes(image[8 * word : 8 * word + 8], "little", signed=True)
+        near = st.integers(max(-(2**63), old - 3), min(2**63 - 1, old + 3))
+        new = data.draw(st.one_of(st.integers(-(2**63), 2**63 - 1), st.integers(0, len(image) // 8), near))
+        image[8 * word : 8 * word + 8] = new.to_bytes(8, "little", signed=True)
+    joined = Reserving(program(LONG))
+    joined.machines[0].agents.pop("boss").ended = "dropped"
+    machine = joined.machines[target]
+    try:
+        agent = machine.admit(joined.team[3], bytes(image), Limits())
+    except BlockError:
+        return
+    machine.calling(agent)
+    machine.goes_on(agent)
+    machine.held(agent)
+    machine.go(agent)
+    joined.run()
+    assert "bug in lfield" not in agent.report

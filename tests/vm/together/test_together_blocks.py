@@ -7,7 +7,7 @@ from functools import cache
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from joined_hosts import Joined
+from joined_hosts import Collecting, Joined
 
 from lfield.bytecode.program import Program
 from lfield.errors import BlockError
@@ -17,7 +17,6 @@ from lfield.vm.contract import Limits
 from lfield.vm.inspect.decode import view
 from lfield.vm.memory import layout
 from lfield.vm.memory.block import Block
-from lfield.vm.memory.collector import collect
 
 BUSY = """
 class Card { public string text; public Card self; public Card(string t) { text = t; self = this; } }
@@ -67,20 +66,6 @@ SAID = [
 @cache
 def program() -> Program:
     return compile_text(BUSY)
-
-
-class Collecting(Joined):
-    """Collects everything whenever it can, and packs and restores the coordinator on every hop."""
-
-    def still(self) -> float | None:
-        for _ in range(100_000):
-            pauses = [machine.run() for machine in self.machines]
-            for machine in self.machines:
-                for agent in machine.agents.values():
-                    collect(agent.block, machine.layouts)
-            if 0.0 not in pauses:
-                return min((pause for pause in pauses if pause is not None), default=None)
-        raise AssertionError("the machines never rest")
 
 
 @pytest.mark.parametrize("kind", [Joined, Collecting])
