@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
+from lfield.host.core import HostCore
 from lfield.testing.mission.team import Team
+from lfield.wire.observing import Recover
 
 RESOURCE = """
 resource Arm {
@@ -214,3 +217,99 @@ def test_a_host_that_is_stopped_gives_nothing_back_and_its_lease_does(open_team)
     team.run(until=lambda: "rover" in team.ended, at_most=60.0)
     began = next(call.at for call in team.calls if call.caller == "rover")
     assert 6.0 < began < 8.5
+
+
+def at_bravo(team: Team, does: Callable[[HostCore], object]) -> None:
+    """Something that a person does there."""
+    life = team._fleet.lives["bravo"]
+
+    def act() -> None:
+        does(life.core)
+        life.host.turn()
+
+    life.process.loop.enter(act)
+
+
+def test_who_is_given_up_by_a_persons_word_has_nothing_any_more(open_team):
+    team = open_team(
+        "reserve (b) { b.look(); a.work(60.0); }",
+        "sleep(2.0); reserve (b) { b.look(); }",
+        "reservations: {lease: 600, wait: 600}\n",
+    )
+    team.run(5.0)
+    team.power_off("alpha")
+    team.run(5.0)
+    assert "rover" not in team.ended
+    at_bravo(team, lambda core: core.forget("pilot"))
+    team.run(0.5)
+    assert team.ended["rover"] == "done"
+
+
+def test_who_goes_on_by_a_persons_word_reserves_anew_and_the_old_number_is_none(open_team):
+    """It goes back to its last call here, in the block: that one is told that it has lost what it had."""
+    team = open_team(
+        "reserve (b) { b.work(0.5); a.work(60.0); b.look(); }",
+        "sleep(600.0);",
+        "reservations: {lease: 600, wait: 600}\n",
+    )
+    team.run(until=lambda: any(call.resource == "a" for call in team.calls), at_most=20.0)
+    team.run(1.0)
+    team.power_off("alpha")
+    team.run(1.0)
+    row = next(row for row in team._fleet.lives["bravo"].core.mobility.knowledge() if row.agent == "pilot")
+    at_bravo(team, lambda core: core.recover(Recover("pilot", 1, row.sequence, 1)))
+    team.run(15.0)
+    assert team.said("pilot is recovered here, as start ") == 1
+    assert [held.resource for held in team._fleet.lives["bravo"].core.reserving.held] == []
+    assert [call.portal for call in team.calls if call.resource == "b"] == ["work"]
+
+
+FINDERS = """
+coordinator Pilot {
+    init(string[] arg) {
+        Lift[] all = findLift();
+        reserve (all[0]) {
+            all[0].lift(0.0);
+            Lift[] still = findLift();
+            print("the holder finds " + i2s(still.length()));
+            sleep(12.0);
+            all[0].lift(0.0);
+        }
+    }
+}
+coordinator Rover {
+    init(string[] arg) {
+        sleep(5.0);
+        Lift[] others = findLift();
+        print("others find " + i2s(others.length()) + ": " + others[0].agent());
+        print("why: " + explainLift());
+        sleep(15.0);
+        others = findLift();
+        print("then " + i2s(others.length()));
+    }
+}
+"""
+CRANES = """
+resource Arm {
+    init(string[] arg) { }
+    portal hoist(real height) emit real { return height; }
+}
+"""
+CAN_LIFT = """
+registry: 1
+providers:
+  Arm: {serves: {Lift: {portals: {lift: hoist, lower: hoist}}}}
+"""
+
+
+def test_what_is_reserved_is_found_by_its_holder_alone(tmp_path, lfield_mission):
+    (tmp_path / "arms.L").write_text(CRANES + FINDERS)
+    (tmp_path / "arms.dL").write_text(TEAM)
+    (tmp_path / "arms.capabilities.yaml").write_text(CAN_LIFT)
+    team = lfield_mission(tmp_path / "arms.dL")
+    team.run(until_done=True, at_most=100.0)
+    assert team.said("the holder finds 2") == 1
+    reserved = next(call.resource for call in team.calls)
+    assert team.said(f"others find 1: {'ba'[reserved == 'b']}") == 1
+    assert team.said(f"why: {reserved}: reserved by pilot for ") == 1
+    assert team.said("then 2") == 1
