@@ -161,7 +161,8 @@ class HostCore:
         self.coordinators.answer()
         self._inits.look(now)
         # A portal that has ended may be what somebody waits for who wants to reserve its resource.
-        self.reserving.look()
+        if self.reserving.look():
+            pause = 0.0
         dues = (
             self.coordinators.due,
             self.directory.due,

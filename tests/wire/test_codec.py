@@ -119,6 +119,20 @@ def test_there_and_back(message):
     assert decode(parts(encode(message))[0], memoryview(parts(encode(message))[1])) == message
 
 
+NAMES = st.text(st.characters(exclude_categories=["Cs"]), min_size=1, max_size=MAX_NAME)
+NUMBERS = st.integers(0, 2**63 - 1)
+
+
+@REPEATABLE
+@given(
+    st.builds(Renew, NAMES, NUMBERS, NAMES, NUMBERS)
+    | st.builds(Release, NAMES, NUMBERS)
+    | st.builds(lambda *held: status(reserved=[ReservedStatus(*held, 1.5, 0.25)]), NAMES, NAMES, NUMBERS)
+)
+def test_whatever_is_said_of_reservations_comes_back(message):
+    assert decode(*parts(encode(message))) == message
+
+
 def test_a_transfer_is_its_header_and_the_very_bytes():
     kind, payload = parts(encode_transfer(TRANSFER_HEADER, b"block") + b"block")
     assert kind == TRANSFER

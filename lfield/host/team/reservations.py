@@ -9,7 +9,7 @@ first come, first served. All times are in seconds of the host's clock.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from itertools import takewhile
 from typing import Literal
@@ -154,7 +154,7 @@ class Reservations:
 
     def _dues(self) -> Iterator[float]:
         for found in self._resources.values():
-            if found.holder is not None and found.told:
+            if found.holder is not None and found.written:
                 yield found.until
             yield from (waiting.deadline for waiting in found.queue)
 
@@ -166,6 +166,11 @@ class Reservations:
             for name, found in self._resources.items()
             if found.holder is not None
         }
+
+    @property
+    def known(self) -> Collection[str]:
+        """The resources that were ever reserved, or asked about."""
+        return self._resources
 
     def concerns(self, resource: str) -> bool:
         """Whether calls of a resource have to ask: somebody has it, or waits for it."""
@@ -264,11 +269,11 @@ class Reservations:
 
     # --- disk and time --------------------------------------------------------------------------------
 
-    def written(self, resource: str, number: int) -> None:
+    def written(self, resource: str, number: int, now: float) -> None:
         """The page of a holder is on the disk: it may have its number."""
         found = self._resources[resource]
         if found.holder is not None and found.number == number and not found.written:
-            found.written = True
+            found.written, found.until = True, now + self._lease
             self._effects.append(Let(found.holder))
 
     def tick(self, now: float) -> None:
@@ -301,7 +306,7 @@ class Reservations:
         return found
 
     def _expire(self, resource: str, found: _Resource, now: float) -> None:
-        if found.holder is not None and found.told and found.until <= now:
+        if found.holder is not None and found.written and found.until <= now:
             self._end(resource, found, "its lease was over", now)
 
     def _grant(self, resource: str, found: _Resource, start: Start, now: float) -> None:

@@ -59,6 +59,7 @@ class Reserving:
         self._team, self._leases, self._machine = team, leases, machine
         self._clock, self._out, self._linked = clock, effects, linked
         self._here = mission.team.number(own.host)
+        self._coordinators = [member.id for member in mission.team.coordinators]
         self._resources = {m.id for m in mission.team.on(self._here) if m.kind == "resource"}
         bindings = mission.bindings
         self._lease = bindings.reservations.lease
@@ -71,6 +72,8 @@ class Reserving:
         self._unwritten: deque[tuple[int, str, int]] = deque()
         #: When what each coordinator here has was renewed last.
         self._renewed: dict[str, tuple[Agent, float]] = {}
+        #: Whether somebody was let go since the last look.
+        self._moved = False
         self._used = machine.program.has_reserves
 
     def restore(self) -> None:
@@ -176,14 +179,14 @@ class Reserving:
         """The hosts that must hear of holders here."""
         if not self._used:
             return set()
-        here = [self._machine.held(agent) for agent in self._machine.agents.values() if self._renews(agent)]
-        return {self._hosts[resource.host] for held in here for resource, _ in held}
+        held = (entry for agent in self._here_now() for entry in self._machine.held(agent))
+        return {self._hosts[resource.host] for resource, _ in held}
 
     def kept(self, number: int) -> None:
         """All pages up to those of that batch are on the disk."""
         while self._unwritten and self._unwritten[0][0] <= number:
             _, resource, given = self._unwritten.popleft()
-            self._core.written(resource, given)
+            self._core.written(resource, given, self._clock.monotonic())
         self._carry_out()
 
     def not_kept(self, why: str) -> None:
@@ -211,11 +214,13 @@ class Reserving:
         due = None if self._team.paused else self._core.due
         return min([*dues, *([] if due is None else [due])], default=None)
 
-    def look(self) -> None:
-        """Time has passed, or something has come: to be called in every turn."""
+    def look(self) -> bool:
+        """Time has passed, or something has come: to be called in every turn. Whether anybody was let go."""
         if not self._used or self._team.halted:
-            return
+            return False
         now = self._clock.monotonic()
+        agents = self._machine.agents
+        self._waiting = {start: one for start, one in self._waiting.items() if agents.get(one.id) is one}
         self._renew(now)
         for start in sorted(self._core.concerned):
             if why := self._leases.over(*start):
@@ -223,11 +228,20 @@ class Reserving:
         if not self._team.paused:
             self._core.tick(now)
         self._carry_out()
+        moved, self._moved = self._moved, False
+        return moved
+
+    def _here_now(self) -> list[Agent]:
+        """The coordinators that are here as far as anybody knows; one in doubt may have gone on from here."""
+        found = (self._machine.agents.get(name) for name in self._coordinators)
+        return [agent for agent in found if agent is not None and not agent.ended and self._has(agent)]
+
+    def _has(self, agent: Agent) -> bool:
+        return not (agent.frozen and self._team.mobility.in_doubt(agent.id, agent.generation))
 
     def _renew(self, now: float) -> None:
-        here = [agent for agent in self._machine.agents.values() if self._renews(agent)]
         before, self._renewed = self._renewed, {}
-        for agent in here:
+        for agent in self._here_now():
             last, when = before.get(agent.id, (None, 0.0))
             if last is agent and now < when + self._lease / 3:
                 self._renewed[agent.id] = agent, when
@@ -242,12 +256,6 @@ class Reserving:
             self._core.renew((agent.id, agent.generation), resource.id, number, now)
         elif self._linked(host):
             self._out(Send(host, Renew(resource.id, number, agent.id, agent.generation)))
-
-    def _renews(self, agent: Agent) -> bool:
-        """Whether a coordinator is here as far as anybody knows; one in doubt may have gone on from here."""
-        if agent.member.kind != "coordinator" or agent.ended:
-            return False
-        return not (agent.frozen and self._team.mobility.in_doubt(agent.id, agent.generation))
 
     # --- what others want to know ---------------------------------------------------------------------
 
@@ -273,8 +281,9 @@ class Reserving:
                         self._let(effect.start)
                     case Refuse():
                         self._refuse(effect)
-        for resource in self._resources & self._machine.agents.keys():
-            self._machine.agents[resource].reserved = self._core.concerns(resource)
+        for resource in self._core.known:
+            if (found := self._machine.agents.get(resource)) is not None:
+                found.reserved = self._core.concerns(resource)
 
     def _write(self, effect: Write) -> None:
         if self._keeps:
@@ -284,17 +293,19 @@ class Reserving:
             if effect.holder is not None:
                 self._unwritten.append((batch, effect.resource, effect.number))
         elif effect.holder is not None:
-            self._core.written(effect.resource, effect.number)
+            self._core.written(effect.resource, effect.number, self._clock.monotonic())
 
     def _let(self, start: Start) -> None:
         agent = self._waiting.pop(start, None)
         if agent is not None and self._is_frozen(agent):
             self._machine.go(agent)
+            self._moved = True
 
     def _refuse(self, effect: Refuse) -> None:
         agent = self._waiting.pop(effect.start, None)
         if agent is not None and self._is_frozen(agent):
             self._machine.resume(agent, RESERVED, clip(effect.message), effect.resource)
+            self._moved = True
 
     def _is_frozen(self, agent: Agent) -> bool:
         """Whether a coordinator still waits here; not who was told to go on, and wants away by now."""

@@ -24,16 +24,18 @@ class Desk:
 
     def __init__(self, wait: float = WAIT) -> None:
         self.busy: set[str] = set()
+        self.now = 0.0
         self.core = Reservations(100, LEASE, lambda _: wait, lambda _, agent: bool(self.busy - {agent}))
 
     def effects(self) -> list[Effect]:
         return self.core.take_effects()
 
     def write(self, number: int, resource: str = "arm") -> None:
-        self.core.written(resource, number)
+        self.core.written(resource, number, self.now)
 
     def has(self, start: tuple[str, int], now: float) -> int:
         """Reserve what is free."""
+        self.now = now
         assert self.core.take(start, "arm", now, nested=False) == 0
         number = next(e.number for e in self.effects() if isinstance(e, Write))
         self.write(number)

@@ -145,7 +145,7 @@ class Reserving(RuleBasedStateMachine):
         for page in self.pages:
             self.disk = page
             if page.holder is not None:
-                self.core.written("arm", page.number)
+                self.core.written("arm", page.number, self.now)
         self.pages.clear()
         self._carry_out()
 
@@ -199,7 +199,7 @@ class ToldBeforeItIsKept(Reservations):
         number = super().take(start, resource, now, nested=nested)
         found = self._resources[resource]
         if found.holder == start and not number:
-            self.written(resource, found.number)
+            self.written(resource, found.number, now)
             number = super().take(start, resource, now, nested=nested)
         return number
 

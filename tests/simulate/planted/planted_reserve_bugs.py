@@ -17,7 +17,7 @@ def a_number_is_told_before_it_is_kept(patch: Patch) -> None:
     def boldly(self: Reserving, effect: Any) -> None:
         write(self, effect)
         if effect.holder is not None:
-            self._core.written(effect.resource, effect.number)
+            self._core.written(effect.resource, effect.number, self._clock.monotonic())
 
     patch.setattr(Reserving, "_write", boldly)
 
