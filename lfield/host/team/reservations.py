@@ -312,6 +312,9 @@ class Reservations:
     def _grant(self, resource: str, found: _Resource, start: Start, now: float) -> None:
         if found.holder is not None:
             found.ended = found.holder, "a later one was begun", now
+            if not found.told:
+                message = f"{resource} is reserved by a later start of {start[0]}"
+                self._effects.append(Refuse(found.holder, resource, message))
         self._leave_queue(found, start)
         found.number, found.holder = found.number + 1, start
         found.since, found.until, found.written, found.told = now, now + self._lease, False, False

@@ -194,6 +194,18 @@ def test_a_later_start_takes_over_and_an_earlier_one_waits(desk: Desk) -> None:
     assert desk.effects() == []
 
 
+def test_an_earlier_start_that_waits_for_its_page_hears_of_the_later_one(desk: Desk) -> None:
+    assert desk.core.take(PILOT, "arm", 0.0, nested=False) == 0
+    assert desk.core.take(("pilot", 2), "arm", 0.1, nested=False) == 0
+    assert desk.effects() == [
+        Write("arm", 101, PILOT, soon=False),
+        Refuse(PILOT, "arm", "arm is reserved by a later start of pilot"),
+        Write("arm", 102, ("pilot", 2), soon=False),
+    ]
+    desk.write(101)
+    assert desk.effects() == []
+
+
 def test_it_ends_with_its_holder(desk: Desk) -> None:
     number = desk.has(PILOT, 0.0)
     assert desk.core.take(ROVER, "arm", 1.0, nested=False) == 0
