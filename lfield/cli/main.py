@@ -9,7 +9,7 @@ import signal
 import sys
 from collections.abc import Sequence
 from importlib import import_module
-from typing import TYPE_CHECKING, NoReturn, Protocol
+from typing import TYPE_CHECKING, Any, NoReturn, Protocol
 
 from lfield import __version__, exits
 from lfield.errors import BindingError, LfieldError, ProgramError, UsageError
@@ -82,6 +82,18 @@ class _Parser(argparse.ArgumentParser):
         # argparse's own says nothing of a full disk.
         if message:
             (file or sys.stderr).write(message)
+
+    def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
+        """Options may stand between the words of a list: `test -k charge A -x B`. argparse's own takes none
+        of the list after that."""
+        lists = any(not a.option_strings and a.nargs in ("*", "+") for a in self._actions)
+        if not lists or self._intermixes:
+            return super().parse_known_args(args, namespace)
+        self._intermixes = True
+        return self.parse_known_intermixed_args(args, namespace)
+
+    #: Whether that is under way, which asks for both halves in turn.
+    _intermixes = False
 
     def error(self, message: str) -> NoReturn:
         raise UsageError(f"{message} (see '{self.prog} --help')")

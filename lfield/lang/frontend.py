@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 from lfield.errors import ProgramError
+from lfield.lang import syntax
 from lfield.lang.capabilities import Capabilities, Generated, unknown_names
 from lfield.lang.checker import check
 from lfield.lang.checker.symbols import BUILTIN_TYPES
@@ -48,17 +49,23 @@ def check_file(
     devices: Mapping[str, DeviceManifest] | None = None,
     find_include: FindInclude = no_include,
     capabilities: Capabilities | None = None,
+    doubled: Collection[str] = (),
 ) -> Checked:
     """Check a program file and all it includes.
 
     `devices` are the device types of the drivers by their name; `find_include` maps the path in
-    `include <name/file.L>;` to a file; `capabilities` are the types of the registry. Raises InputFileError
-    when the file itself cannot be read; everything else that is wrong with it is a diagnostic.
+    `include <name/file.L>;` to a file; `capabilities` are the types of the registry. Of `doubled` resources
+    nothing will run: what they do with devices of a driver that is not there is left out. Raises
+    InputFileError when the file itself cannot be read; everything else that is wrong is a diagnostic.
     """
     data = read_bytes(path, MAX_TEXT)
     found = Diagnostics()
     files = FileSet(found, find_include)
     files.read(data, path)
+    for file in files.files:
+        for unit in file.units:
+            if unit.name in doubled:
+                _hollow_out(file, unit, {*BUILTIN_TYPES, *(devices or {})})
     return _checked(files, found, devices or {}, capabilities)
 
 
@@ -100,6 +107,19 @@ def _checked(
         generated=frozenset(made.classes),
     )
     return Checked(None if found.errors else program, found.in_order())
+
+
+def _hollow_out(file: syntax.File, unit: syntax.Unit, known: Collection[str]) -> None:
+    """Leave only the portals of a resource, which do nothing for ever, when it has an unknown device."""
+    names = {field.type.name for field in unit.fields} & unknown_names([file], known)
+    if not names:
+        return
+    unit.fields = []
+    unit.methods = [method for method in unit.methods if method.kind in ("init", "portal")]
+    for method in unit.methods:
+        forever = syntax.Literal_(method.span, 1, value=True)
+        method.body = [syntax.While(method.span, forever, syntax.Block(method.span, []))]
+    file.types -= names
 
 
 def _generated(

@@ -130,6 +130,11 @@ def each_needed(needed: Needed) -> Iterator[tuple[str, str, str]]:
             yield agent, name, device_type
 
 
+def undoubled(needed: Needed, doubled: Collection[str]) -> Needed:
+    """What is needed when a test stands in for some agents, which then have no devices."""
+    return {agent: {} if agent in doubled else fields for agent, fields in needed.items()}
+
+
 def maker_of(drivers: Drivers, device_type: str) -> KnownDriver | None:
     """The driver that makes a device type."""
     return next((driver for driver in drivers.by_driver.values() if device_type in driver.manifests), None)

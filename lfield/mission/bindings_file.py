@@ -62,6 +62,7 @@ from lfield.mission.bindings import (
     each_needed,
     maker_of,
     on_fakes,
+    undoubled,
 )
 from lfield.text.source import Diagnostics
 from lfield.text.suggest import did_you_mean
@@ -81,19 +82,24 @@ def read_bindings(
     simulate: bool = False,
     resources: dict[str, str] | None = None,
     hosts: Collection[str] | None = None,
+    doubled: Collection[str] = (),
 ) -> Bindings:
     """The bindings in a file (None: there is no file), checked against what the mission needs.
 
     With `simulate`, needed devices that are not bound get what is usual for their agent's resource type (of
     `resources`), and every endpoint is SIMULATED. `hosts` are those of the team, None where it is not known.
-    Raises BindingError with all problems, InputFileError when the file cannot be read.
+    Of `doubled` agents only the limits are read. Raises BindingError with all problems, InputFileError when
+    the file cannot be read.
     """
     found = Diagnostics()
     node = read(str(path), found) if path is not None else None
     bindings = Bindings()
     if path is not None and node is not None:
-        reader = BindingsReader(needed, drivers, found, path.parent, simulate=simulate, hosts=hosts)
+        reader = BindingsReader(
+            needed, drivers, found, path.parent, simulate=simulate, hosts=hosts, doubled=doubled
+        )
         bindings = reader.bindings(node)
+    needed = undoubled(needed, doubled)
     problems = [diagnostic.render() for diagnostic in found.errors]
     problems += _without_driver(needed, drivers)
     # What is written wrong is not missing: the file's own errors are told first, and alone.
@@ -136,7 +142,9 @@ class BindingsReader:
         *,
         simulate: bool,
         hosts: Collection[str] | None = None,
+        doubled: Collection[str] = (),
     ) -> None:
+        self._doubled = doubled
         self._needed, self._drivers, self._found = needed, drivers, found
         self._folder, self._simulate, self._hosts = folder, simulate, hosts
 
@@ -161,7 +169,10 @@ class BindingsReader:
             agents[entry.key] = self._limits(fields, defaults)
             if "reserved_wait" in fields:
                 waits[entry.key] = _reserved_wait(fields, "reserved_wait", reservations.wait)
-            devices[entry.key] = dict(self._devices(entry.key, fields))
+            if entry.key in self._doubled:
+                fields.node("devices")
+            else:
+                devices[entry.key] = dict(self._devices(entry.key, fields))
             fields.done()
         top.done()
         return Bindings(

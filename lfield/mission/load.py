@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -25,7 +25,7 @@ from lfield.errors import (
 )
 from lfield.lang.deployment import DeployedAgent, Deployment, read_deployment
 from lfield.mission import bundle
-from lfield.mission.bindings import Bindings, chosen_fakes
+from lfield.mission.bindings import Bindings, chosen_fakes, undoubled
 from lfield.mission.bindings_file import read_bindings
 from lfield.mission.mission import Mission, makers_of, needed_devices
 from lfield.mission.team import parse_maps, team_of
@@ -45,16 +45,19 @@ def load_mission(
     maps: Sequence[str] = (),
     simulate: bool = False,
     capabilities: Path | None = None,
+    doubled: Collection[str] = (),
 ) -> Mission:
     """Read, compile and check all files of a mission; raises ProgramError, BindingError and the like.
 
     The program is `NAME.L` beside `NAME.dL`, the devices `NAME.devices.yaml`, what the mission adds to the
-    registry `NAME.capabilities.yaml`, unless they are given.
+    registry `NAME.capabilities.yaml`, unless they are given. Agents that are `doubled` by a test have no
+    devices, and need neither bindings nor drivers.
     """
     _check_deployment(deploy)
     plugins = discover()
     types = _registry_types(capabilities or beside(deploy, CAPABILITIES), deploy, plugins)
-    loaded, warnings = _program(program or deploy.with_suffix(".L"), plugins, types)
+    hollow = _hollow(deploy, doubled)
+    loaded, warnings = _program(program or deploy.with_suffix(".L"), plugins, types, hollow)
     deployment = read_deployment(deploy, loaded.units)
     team = team_of(deployment.rows, deployment.kinds, deployment.ports)
     needed = needed_devices(loaded, team)
@@ -65,10 +68,11 @@ def load_mission(
         simulate=simulate,
         resources=team.types,
         hosts=team.hosts,
+        doubled=doubled,
     )
     drivers = makers_of(plugins, {device.type for device in bindings.all})
-    registry = _settled(types.registry, loaded, plugins) if ways(loaded) else None
-    chosen = chosen_fakes(bindings, needed, plugins, team.types) if simulate else []
+    registry = _settled(types.registry, loaded, plugins, hollow) if ways(loaded) else None
+    chosen = chosen_fakes(bindings, undoubled(needed, doubled), plugins, team.types) if simulate else []
     mission = _decided(Mission(deploy.stem, loaded, team, bindings, drivers, registry), deployment)
     warnings += _doubts(deployment, mission)
     mission = replace(mission, warnings=(*(warning.render() for warning in warnings), *chosen))
@@ -174,13 +178,23 @@ def _registry_types(mission: Path | None, deploy: Path | None, plugins: Plugins)
     return RegistryTypes(lambda: whole, own=mission)
 
 
-def _settled(registry: Registry, program: Program, plugins: Plugins) -> Registry:
+def _hollow(deploy: Path, doubled: Collection[str]) -> frozenset[str]:
+    """The resource types all of whose agents are doubled: nothing of them runs."""
+    agents = read_deployment(deploy, None).agents if doubled else ()
+    run = {agent.type for agent in agents if agent.id not in doubled}
+    return frozenset(agent.type for agent in agents if agent.type not in run)
+
+
+def _settled(registry: Registry, program: Program, plugins: Plugins, hollow: Collection[str]) -> Registry:
     """The registry with live attributes in their units, whatever the unit in which a device tells them.
 
     What we ship may not fit a resource of the program that only has the name of ours: then it does not count.
+    No device tells anything of `hollow` types.
     """
     devices = {
-        record.name: {field.name: field.type for field in record.devices} for record in program.core.classes
+        record.name: {field.name: field.type for field in record.devices}
+        for record in program.core.classes
+        if record.name not in hollow
     }
     found = Diagnostics()
     settled = settle_live(registry, devices, plugins.device_types, found)
@@ -197,9 +211,11 @@ def agents_of(deploy: Path) -> list[str] | None:
         return None
 
 
-def _program(path: Path, plugins: Plugins, types: RegistryTypes) -> tuple[Program, list[Diagnostic]]:
+def _program(
+    path: Path, plugins: Plugins, types: RegistryTypes, doubled: Collection[str]
+) -> tuple[Program, list[Diagnostic]]:
     if path.suffix == ".L":
-        return compile_file(path, plugins, types)
+        return compile_file(path, plugins, types, doubled)
     return _read_program(path), []
 
 
@@ -222,11 +238,15 @@ def _read_program(path: Path) -> Program:
 
 
 def compile_file(
-    path: Path, plugins: Plugins | None = None, types: RegistryTypes | None = None
+    path: Path,
+    plugins: Plugins | None = None,
+    types: RegistryTypes | None = None,
+    doubled: Collection[str] = (),
 ) -> tuple[Program, list[Diagnostic]]:
     """Compile L text; returns the program and its warnings, raises ProgramError with its errors.
 
     Its capabilities are those of `types`, else those of lfield and of `NAME.capabilities.yaml` beside it.
+    `doubled` are the resource types of which nothing will run.
     """
     from lfield.compiler.build import compile_program
     from lfield.lang.frontend import check_file as check_program
@@ -235,7 +255,11 @@ def compile_file(
     known = plugins if plugins is not None else discover()
     capabilities = types or _registry_types(beside(path, CAPABILITIES), beside(path, ".dL"), known)
     checked = check_program(
-        path, devices=known.device_types, find_include=known.find_source, capabilities=capabilities
+        path,
+        devices=known.device_types,
+        find_include=known.find_source,
+        capabilities=capabilities,
+        doubled=doubled,
     )
     if checked.program is None:
         raise ProgramError(checked.diagnostics)

@@ -38,6 +38,9 @@ from lfield.simulate.hardware import REFERENCE, Hardware, guard
 CLOCKS = 0.01
 #: Where every host listens on its machine.
 PORT = 8181
+#: Seconds that the machine of L takes for an instruction, and besides for each turn of a thread: seven times
+#: what the reference engine takes on a computer on a desk, as small computers of robots do.
+INSTRUCTION, TURN = 1e-6, 50e-6
 
 Watch = Callable[["Fleet"], None]
 Born = Callable[[str, "Life"], None]
@@ -205,8 +208,10 @@ class Fleet:
             self._known.add(name)
         host = Host(self.mission, name, TcpTransport(self.mission.max_block), Logbook(book, book), options)
         life = self.lives[name] = Life(process, host, StopWords(host.clock))
+        host.machine.attached.meter = lambda n: process.loop.compute(TURN + n * INSTRUCTION)
         self._born(name, life)
-        process.loop.create_task(self._live(name, life))
+        # A moment later: whoever makes a team of hosts has it before any of them does anything.
+        process.loop.soon(lambda: process.loop.create_task(self._live(name, life)))
 
     async def _live(self, name: str, life: Life) -> None:
         try:

@@ -38,7 +38,7 @@ class CabledFake:
         self.serving: Fake | None = None
         self.problem = ""
         #: What it has raised that it should not.
-        self.trouble: list[Exception] = []
+        self.trouble: list[MissionTestError] = []
         # The hardware's dice come from its name: one device more changes nothing for the others.
         machine = Machine(name, timeline, random.Random(name))
         network.plug_in(machine)
@@ -52,15 +52,22 @@ class CabledFake:
         try:
             await sim.serve(args)
         except (LfieldError, ValueError) as error:
+            if self.serving:
+                self._has_failed(error)
             self.problem = f"{self.name}: {error}"
         except Exception as error:  # a fake is foreign code: whoever runs the test is told
-            self.trouble.append(error)
+            self._has_failed(error)
 
     def _serves(self, fake: Fake) -> None:
         self.serving = fake
 
     def _raised(self, _: object, context: dict[str, Any]) -> None:
-        self.trouble.append(context.get("exception") or RuntimeError(context["message"]))
+        self._has_failed(context.get("exception") or RuntimeError(context["message"]))
+
+    def _has_failed(self, cause: BaseException) -> None:
+        trouble = MissionTestError(f"the fake of {self.name} has failed by {type(cause).__name__}: {cause}")
+        trouble.__cause__ = cause
+        self.trouble.append(trouble)
 
 
 K = TypeVar("K")

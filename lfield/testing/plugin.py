@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterator
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -20,14 +21,17 @@ if TYPE_CHECKING:
 #: Makes a team: the deployment's path, beside the test's file where it is not absolute; and Team's options.
 OpenMission = Callable[..., "Team"]
 
-#: Under this name a test's report says which pictures it has drawn: it may have run in another process.
+#: Under this name a test's report says which pictures it has drawn, or could not draw: it may have run in
+#: another process.
 _DRAWN = "lfield tracks"
+#: The longest name of a file, without what tells it from others of that name.
+_LONGEST = 120
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     """Where pictures go."""
     parser.getgroup("lfield").addoption(
-        "--tracks", metavar="DIR", type=Path, help="draw the tracks of each team there, as TEST.svg"
+        "--tracks", metavar="DIR", type=Path, help="draw the tracks of each team there, as FILE.TEST.svg"
     )
 
 
@@ -51,9 +55,11 @@ def lfield_mission(request: pytest.FixtureRequest) -> Iterator[OpenMission]:
         return team
 
     yield opened
-    for number, team in enumerate(teams, 1):
-        _draw(request, team, "" if len(teams) == 1 else f"-{number}")
-        team.close()
+    with ExitStack() as closing:
+        for team in teams:
+            closing.callback(team.close)
+        for number, team in enumerate(teams, 1):
+            _draw(request, team, "" if len(teams) == 1 else f"~{number}")
 
 
 def _draw(request: pytest.FixtureRequest, team: Team, which: str) -> None:
@@ -63,11 +69,27 @@ def _draw(request: pytest.FixtureRequest, team: Team, which: str) -> None:
         return
     from lfield.testing.mission.picture import draw
 
-    name = re.sub(r"[^\w.-]+", "-", request.node.name).strip("-") + which
-    folder.mkdir(parents=True, exist_ok=True)
-    file = folder / f"{name}.svg"
-    file.write_text(draw(team.tracks, f"{team.mission.name}: {request.node.name}", team.marks))
-    request.node.user_properties.append((_DRAWN, str(file)))
+    file = folder / f"{_name(request)}{which}.svg"
+    picture = draw(team.tracks, f"{team.mission.name}: {request.node.name}", team.marks)
+    told = str(file)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        file.write_text(picture)
+    except OSError as error:
+        told = f"{file} cannot be written: {error.strerror}"
+    request.node.user_properties.append((_DRAWN, told))
+
+
+def _name(request: pytest.FixtureRequest) -> str:
+    """The name of a test's picture; of those that would have the same, each has a number."""
+    name = _plain(request.node)
+    same = [item.nodeid for item in request.session.items if _plain(item) == name]
+    return name if len(same) == 1 else f"{name}~{same.index(request.node.nodeid) + 1}"
+
+
+def _plain(item: pytest.Item) -> str:
+    """File and test, in what may stand in the name of a file."""
+    return re.sub(r"[^\w.-]+", "-", f"{item.path.stem}.{item.name}").strip("-")[:_LONGEST]
 
 
 def pytest_terminal_summary(terminalreporter: Any) -> None:

@@ -1,7 +1,8 @@
-"""What may be attached to a machine from outside: who watches its portal calls, and stand-ins for resources.
+"""What may be attached to a machine: a watcher of its portal calls, stand-ins for resources, a meter.
 
 Nothing is attached on a robot. A watcher is told and changes nothing; a stand-in answers the portals of one
-resource in the place of its program, as a test of a mission wants it.
+resource in the place of its program, as a test of a mission wants it; a meter is told how much was computed,
+which takes time on a simulated computer too.
 """
 
 from __future__ import annotations
@@ -62,7 +63,8 @@ class Asked(Protocol):
 @dataclass(slots=True)
 class Attached:
     """What is attached to one machine. `stand_ins` by the ids of resources, which must not have started yet:
-    their `init` does not run, and they are open at once."""
+    their `init` does not run, and they are open at once. `meter` is given the instructions of each turn."""
 
     watch: Watch | None = None
+    meter: Callable[[int], None] | None = None
     stand_ins: dict[str, Callable[[Asked], None]] = field(default_factory=dict)

@@ -71,7 +71,7 @@ class Machine:
         )
         #: The agents that are here, by id.
         self.agents = scheduler.agents
-        #: Who watches its portal calls, and what stands in for resources.
+        #: Who watches its portal calls and what it computes, and what stands in for resources.
         self.attached = scheduler.attached
         self.engine, self.layouts, self._turns = scheduler.engine, scheduler.layouts, scheduler.turns
         cancelling = self._cancelling = Cancelling(scheduler)
@@ -311,6 +311,8 @@ class Machine:
         scheduler = self._scheduler
         place = place_of(agent.block, thread)
         leave = self.engine.run(agent.block, place, SLICE, agent.limits, agent.readings)
+        if self.attached.meter is not None:
+            self.attached.meter(SLICE - self.engine.unused)
         if agent.polls and self.engine.asked:
             agent.asked.add(thread)
         if agent.blocked:

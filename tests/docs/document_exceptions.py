@@ -115,12 +115,15 @@ EXCEPTIONS: dict[str, dict[str, str]] = {
         "pip install -e examples/20-gps-driver": GPS,
         "lfield sim gps &": GPS,
         "lfield kit gps --endpoint serial:/dev/ttyUSB0:9600": GPS,
+        "lfield up --deploy examples/20-gps-driver/mission.dL --all --sim --until-done": GPS,
+        "lfield test examples/20-gps-driver": GPS,
+        "afloat | surveyor: 40.0 m over 21 places": GPS,
     },
     "examples/21-box-pushing/README.md": {
         "pip install -e examples/21-box-pushing": ARENA,
         "lfield up --deploy examples/21-box-pushing/mission.dL --all --sim --until-done": ARENA,
         "lfield test examples/21-box-pushing": ARENA,
-        "centre    | movers: the box is at (2.99, 0.99), heading 0.51 after 23 steps and 97 hops": ARENA,
+        "centre    | movers: the box is at (2.99, 1.00), heading 0.50 after 24 steps and 101 hops": ARENA,
     },
     "examples/22-predators/README.md": {
         "pip install -e examples/21-box-pushing": ARENA,

@@ -8,7 +8,7 @@ from pathlib import Path
 from lfield.mission.load import load_mission
 from lfield.simulate.fleet import Fleet, Life
 from lfield.testing.mission.calls import Calls, PortalCall
-from lfield.testing.mission.doubles import Doubles, later_in
+from lfield.testing.mission.doubles import Doubles
 
 
 class SmallTeam(Fleet):
@@ -27,15 +27,17 @@ class SmallTeam(Fleet):
         if program:
             (folder / "mission.L").write_text(program)
             (folder / "mission.dL").write_text("\n".join([*deployment.split(), ""]))
-        self.doubles = Doubles(load_mission(folder / "mission.dL", simulate=True), doubles or {})
+        mission = load_mission(folder / "mission.dL", simulate=True, doubled=doubles or {})
+        self.doubles = Doubles(mission, doubles or {})
         self.calls = Calls(lambda: self.now)
-        super().__init__(self.doubles.mission, 1, watch=SmallTeam._look, born=self._watched)
+        super().__init__(mission, 1, watch=SmallTeam._look, born=self._watched)
 
     def _watched(self, name: str, life: Life) -> None:
         self.calls.watch(life.core.machine)
-        self.doubles.watch(life.core.machine, later_in(life))
+        self.doubles.watch(life)
 
     def _look(self) -> None:  # type: ignore[override]
+        self.doubles.take_turns()
         if self.doubles.trouble:
             raise self.doubles.trouble.pop(0)
 

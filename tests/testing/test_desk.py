@@ -163,7 +163,7 @@ def test_a_fake_without_serve_and_one_that_breaks(desk):
         async def serve(self, args):
             raise ZeroDivisionError("a bug")
 
-    with pytest.raises(ZeroDivisionError, match="a bug"):
+    with pytest.raises(MissionTestError, match="the fake of old 1 has failed by ZeroDivisionError: a bug"):
         desk.fake(Broken())
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import shutil
 import traceback
@@ -13,12 +14,13 @@ from types import SimpleNamespace
 import pytest
 from small_team import SmallTeam
 
-from lfield.errors import DoubleError, LfieldError, Stuck
+from lfield.errors import BindingError, DoubleError, LfieldError, ProgramError, Stuck
 from lfield.mission.load import load_mission
 from lfield.testing import After, LObject, Throws
 from lfield.testing.mission.doubles import Doubles
 from lfield.testing.mission.team import Team
 
+EXAMPLES = Path(__file__).parents[2] / "examples"
 PROGRAM = """
 class Place {
     public real x;
@@ -89,8 +91,8 @@ def test_a_double_answers_and_neither_init_nor_devices_are_there(tmp_path: Path)
     assert pump.total == 7
     assert team.said("the init of other")
     assert not team.said("the init of pump")
-    assert team.doubles.mission.bindings.devices["pump"] == {}
-    assert team.doubles.mission.bindings.devices["other"].keys() == {"fc"}
+    assert team.mission.bindings.devices["pump"] == {}
+    assert team.mission.bindings.devices["other"].keys() == {"fc"}
     first, second = team.calls.record
     assert (first.caller, first.resource, first.portal) == ("boss", "pump", "flow")
     assert (first.arguments, first.result, first.ended) == ((3, 0.5), 3, first.at)
@@ -304,6 +306,68 @@ def test_the_same_seed_is_the_same_run(tmp_path: Path) -> None:
     assert len(digests) == 1
 
 
+# --- what a double has instead of devices ---------------------------------------------------------------
+
+NO_DRIVER = """
+resource Welder {
+    Xyzzy torch;
+    real heat = torch.heat();
+    init(string[] arg) { torch.release(); }
+    portal synchronized weld(real seconds) emit boolean { torch.arc(seconds); return hot(torch); }
+    portal cool() { torch.arc(0.0); }
+    private boolean hot(Xyzzy one) { return one.heat() > 0.0; }
+}
+resource Pump {
+    Mavlink fc;
+    init(string[] arg) { }
+    portal fill() { fc.release(); }
+}
+coordinator Boss {
+    init(string[] arg) {
+        if (findWelder("welder").weld(1.0)) print("welded");
+        findPump("pump").fill();
+        print("the end");
+    }
+}
+"""
+ITS_DEVICES = """
+agents:
+  welder:
+    heap: 64 KiB
+    devices: {torch: {driver: xyzzy, endpoint: "serial:/dev/ttyUSB9"}}
+"""
+
+
+class Welder:
+    def weld(self, seconds: float) -> bool:
+        return True
+
+
+def test_the_driver_of_a_doubled_resource_need_not_be_there(tmp_path: Path) -> None:
+    hosts = "//Welder:welder@alpha //Pump:pump@alpha //Boss:boss@bravo"
+    (tmp_path / "mission.devices.yaml").write_text(ITS_DEVICES)
+    team = SmallTeam(tmp_path, NO_DRIVER, hosts, {"welder": Welder()})
+    team.until("the end")
+    assert team.said("welded")
+    assert team.mission.bindings.limits("welder").heap == 64 << 10
+    assert team.mission.bindings.devices.get("welder", {}) == {}
+    assert team.mission.bindings.devices["pump"].keys() == {"fc"}
+    # Of one that does run, it must.
+    with pytest.raises(ProgramError) as caught:
+        SmallTeam(tmp_path, NO_DRIVER, f"{hosts} //Welder:other@alpha", {"welder": Welder()})
+    assert "Xyzzy" in caught.value.diagnostics[0].render()
+
+
+def test_a_doubled_resource_needs_no_binding(tmp_path: Path) -> None:
+    (tmp_path / "mission.L").write_text(PROGRAM)
+    (tmp_path / "mission.dL").write_text("\n".join([*DEPLOYMENT.split(), ""]))
+    with pytest.raises(BindingError) as caught:
+        load_mission(tmp_path / "mission.dL", doubled={"pump"})
+    assert [problem.partition(" (")[0] for problem in caught.value.problems] == ["other.fc"]
+    mission = load_mission(tmp_path / "mission.dL", doubled={"pump", "other"})
+    assert mission.bindings.all == []
+
+
 # --- what goes wrong ----------------------------------------------------------------------------------
 
 
@@ -465,9 +529,143 @@ def test_an_exception_that_l_does_not_have_and_a_time_that_is_none_are_refused()
             After(seconds, 1)  # type: ignore[arg-type]
 
 
+LOCKED = """
+resource Depot {
+    init(string[] arg) { }
+    portal synchronized take(int amount) emit int { return amount; }
+    portal look() emit int { return 0; }
+}
+coordinator Porter {
+    init(string[] arg) {
+        Depot depot = findDepot("depot");
+        sleep(s2f(arg[3]));
+        try { within (s2f(arg[2])) { print(arg[0] + " took " + i2s(depot.take(s2i(arg[1])))); } }
+        catch (TimeLimitException e) { print(arg[0] + " is late"); }
+        depot.look();
+        print(arg[0] + " has looked");
+    }
+}
+"""
+
+
+class Depot:
+    """Notes who is inside when somebody else is let in."""
+
+    def __init__(self, *seconds: float) -> None:
+        self._seconds = list(seconds)
+        self.taken: list[int] = []
+        self.looks = 0
+
+    def take(self, amount: int) -> After:
+        self.taken.append(amount)
+        return After(self._seconds.pop(0), amount)
+
+    def look(self) -> int:
+        self.looks += 1
+        return self.looks
+
+
+def porters(folder: Path, depot: Depot, *patience: float, after: float = 0.0) -> SmallTeam:
+    """Some who take as many as their number, and wait so long for it; the last one begins later."""
+    agents = [f"//Porter:p{n}@alpha?{n}&{seconds}&0" for n, seconds in enumerate(patience, 1)]
+    agents[-1] = f"{agents[-1][:-1]}{after}"
+    return SmallTeam(folder, LOCKED, " ".join(["//Depot:depot@bravo", *agents]), {"depot": depot})
+
+
+def test_synchronized_portals_of_a_double_are_asked_one_at_a_time(tmp_path: Path) -> None:
+    depot = Depot(2.0, 1.0, 0.0)
+    team = porters(tmp_path, depot, 60.0, 60.0, 60.0)
+    team.run(1.0)
+    assert len(depot.taken) == 1
+    team.run(1.5)
+    assert len(depot.taken) == 2
+    assert depot.looks == 1
+    team.run(1.0)
+    assert sorted(depot.taken) == [1, 2, 3]
+    assert depot.looks == 3
+    calls = sorted(call.ended or 0.0 for call in team.calls.record if call.portal == "take")
+    assert [b - a for a, b in itertools.pairwise(calls)] == pytest.approx([1.0, 0.0], abs=0.01)
+
+
+def test_who_is_cancelled_lets_the_next_one_in_and_who_waited_is_not_asked(tmp_path: Path) -> None:
+    depot = Depot(60.0, 0.5)
+    team = porters(tmp_path, depot, 3.0, 1.0, 60.0)
+    team.run(2.0)
+    assert depot.taken == [1]
+    assert team.said("p2 is late")
+    team.until("p3 took 3")
+    assert team.said("p1 is late")
+    assert depot.taken == [1, 3]
+    assert 3.0 < team.now < 4.0
+
+
+def test_a_host_that_is_started_again_has_nobody_inside(tmp_path: Path) -> None:
+    depot = Depot(60.0, 0.5)
+    team = porters(tmp_path, depot, 100.0, 100.0, after=5.0)
+    team.run(1.0)
+    assert depot.taken == [1]
+    team.crash("bravo")
+    team.boot("bravo")
+    team.until("p2 took 2")
+
+
+class Climbs:
+    """It climbs by saying so, and may say what its battery has."""
+
+    def climb(self, metres: float) -> float:
+        return metres
+
+    def descend(self, metres: float) -> float:
+        return metres
+
+
+class Broken:
+    """A crane that lifts nothing."""
+
+    def home(self) -> None:
+        pass
+
+    def lower(self, metres: float) -> float:
+        return metres
+
+    def lift(self, metres: float) -> float:
+        raise Throws("DeviceException", "the rope is torn")
+
+
+@pytest.mark.parametrize("battery", [0.9, 0.2, lambda: 0.9])
+def test_live_attributes_are_what_the_double_says(tmp_path: Path, battery: object) -> None:
+    """The examples' copter can Lift while its battery lasts."""
+    shutil.copytree(EXAMPLES / "02-equivalent-lift", tmp_path, dirs_exist_ok=True)
+    sky = Climbs()
+    sky.live_attributes = (lambda: {"battery": battery()}) if callable(battery) else {"battery": battery}
+    team = SmallTeam(tmp_path, doubles={"sky": sky, "crane": Broken(), "arm": Climbs()})
+    team.until("crane could not: the rope is torn")
+    team.run(5.0)
+    assert team.said("sky shall lift") == (battery != 0.2)
+
+
+@pytest.mark.parametrize(
+    ("told", "words"),
+    [
+        ({"batery": 0.9}, "says 'batery', and Copter has no such live attribute .* did you mean 'battery'"),
+        ({"battery": "full"}, "says battery = 'full', which is no real"),
+        ({"battery": math.nan}, "says battery = nan, which is no real"),
+        (0.9, "the live_attributes of the double of sky are 0.9: give a dict"),
+    ],
+)
+def test_live_attributes_that_are_none_are_refused(tmp_path: Path, told: object, words: str) -> None:
+    shutil.copytree(EXAMPLES / "02-equivalent-lift", tmp_path, dirs_exist_ok=True)
+    sky = Climbs()
+    sky.live_attributes = told
+    with pytest.raises(DoubleError, match=words):
+        SmallTeam(tmp_path, doubles={"sky": sky})
+    sky.live_attributes = lambda: told
+    with pytest.raises(DoubleError, match=words):
+        SmallTeam(tmp_path, doubles={"sky": sky}).run(5.0)
+
+
 def test_a_double_is_offered_as_what_it_stands_for(tmp_path: Path) -> None:
     """It has no devices that could be in trouble. The examples' crane can Lift by itself, and is the best."""
-    source = Path(__file__).parents[2] / "examples" / "02-equivalent-lift"
     lifted: list[float] = []
 
     class Crane:
@@ -481,7 +679,7 @@ def test_a_double_is_offered_as_what_it_stands_for(tmp_path: Path) -> None:
             lifted.append(metres)
             return metres
 
-    shutil.copytree(source, tmp_path, dirs_exist_ok=True)
+    shutil.copytree(EXAMPLES / "02-equivalent-lift", tmp_path, dirs_exist_ok=True)
     team = SmallTeam(tmp_path, doubles={"crane": Crane()})
     team.until("and down again by 0.8 m")
     assert team.said("crane shall lift")

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import socket
 from pathlib import Path
 
 import pytest
 
-from lfield.errors import MissionTestError, RealEndpoint, Stuck
+from lfield.errors import MissionTestError, Stuck
 from lfield.testing.mission.team import Team
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
@@ -106,6 +105,52 @@ def test_something_happens_at_a_line_of_l_once(walk):
     assert team.hops[-1].target == "bravo"
 
 
+def test_what_is_to_happen_at_a_line_happens_before_it(walk):
+    """Also at lines that never wait: a field's, an init's, the middle of a method, a catch."""
+    for line, last in (("walk.L:11", "works"), ("walk.L:12", "before")):
+        team = walk('print("before"); int[] none = null;\nprint("after");')
+        team.when(line, lambda team=team: team.crash("bravo"))
+        team.run(30.0)
+        assert team.said(last)
+        assert not team.said({"works": "before", "before": "after"}[last])
+        team.boot("bravo")
+
+
+FIELDS = """
+resource Post {
+    int spare = 3;
+    init(string[] arg) {
+        print("begins");
+    }
+    portal work(int n) {
+        try {
+            print(12 / n);
+        } catch (ArithmeticException e) { print("caught"); } finally { print("finally"); }
+    }
+}
+coordinator Boss {
+    init(string[] arg) {
+        findPost("one").work(3);
+        findPost("one").work(0);
+    }
+}
+"""
+
+
+@pytest.mark.parametrize(
+    ("line", "said"),
+    [(3, []), (5, []), (9, ["begins"]), (10, ["begins", "4"]), (16, ["begins", "4", "finally"])],
+)
+def test_a_line_of_a_field_an_init_or_a_finally_is_one_too(tmp_path, lfield_mission, line, said):
+    (tmp_path / "fields.L").write_text(FIELDS)
+    (tmp_path / "fields.dL").write_text("//Post:one@alpha\n//Boss:boss@alpha\n")
+    team = lfield_mission(tmp_path / "fields.dL")
+    team.when(f"fields.L:{line}", lambda: team.crash("alpha"))
+    team.run(30.0)
+    words = ("begins", "4", "caught", "finally")
+    assert [word for entry in team.log if (word := entry.text.rpartition(" ")[2]) in words] == said
+
+
 @pytest.mark.parametrize("line", ["walk.L:1", "walk.L:900", "other.L:10", "walk.L", "10"])
 def test_a_line_without_code_is_none(walk, line):
     team = walk()
@@ -161,33 +206,6 @@ def test_a_wrong_program_is_shown_as_lfield_check_shows_it(walk):
     assert "^" in str(failed.value)
 
 
-def test_nothing_real_is_touched_also_by_who_says_nothing_of_it(walk):
-    team = walk()
-
-    def reach_out() -> None:
-        try:
-            socket.create_connection(("127.0.0.1", 9), timeout=0.1)
-        except Exception:
-            return
-
-    team.at(0.5, reach_out)
-    with pytest.raises(RealEndpoint, match=r"it wanted to reach 127.0.0.1:9"):
-        team.run(1.0)
-
-    def open_port() -> None:
-        Path("/dev/ttyS0").open("rb").close()
-
-    team.at(1.5, open_port)
-    with pytest.raises(RealEndpoint, match="it wanted to open /dev/ttyS0"):
-        team.run(1.0)
-
-
-def test_outside_of_a_run_a_test_may_do_what_it_likes(walk):
-    walk().run(1.0)
-    with socket.socket() as door:
-        door.bind(("127.0.0.1", 0))
-
-
 def test_a_stop_brings_devices_to_rest_first(lfield_mission):
     team = lfield_mission(FLIGHT)
     team.run(until="at (3.5, 0.0)")
@@ -197,9 +215,51 @@ def test_a_stop_brings_devices_to_rest_first(lfield_mission):
     assert team.fake("wing.fc").facts["airborne"] is False
 
 
-def test_a_loop_of_l_that_never_waits_ends_the_test_too(walk, monkeypatch):
-    monkeypatch.setattr("lfield.testing.mission.team.PATIENCE", 1.0)
+def test_a_person_pauses_a_mission_and_lets_it_go_on(walk):
+    team = walk("sleep(5.0);")
+    team.run(5.0)
+    team.pause()
+    team.run(20.0)
+    assert (team.said("over"), team.ended) == (0, {})
+    assert [mark.words for mark in team.marks] == ["the mission is paused"]
+    team.resume()
+    team.run(until_done=True)
+    assert (team.said("over"), team.ended) == (1, {"boss": "done"})
+
+
+def test_devices_come_to_rest_in_a_pause(lfield_mission):
+    team = lfield_mission(FLIGHT)
+    team.run(until="at (3.5, 0.0)")
+    team.pause()
+    team.run(20.0)
+    # The safe state that its binding chooses is to land.
+    assert team.fake("lead.fc").facts["airborne"] is False
+
+
+def test_computing_takes_time(walk):
+    team = walk(
+        "int n = 0;"
+        "try { within (0.5) { while (true) n = n + 1; } } catch (TimeLimitException e) { print(n); }"
+    )
+    team.run(until_done=True)
+    (count,) = (int(line.text.split()[-1]) for line in team.log if line.text.split()[-1].isdecimal())
+    # A million instructions a second, two for each round of the loop.
+    assert 200_000 < count < 280_000
+    assert team.calls[-1].ended + 0.5 < team.now
+
+
+def test_a_loop_of_l_that_never_waits_ends_by_time(walk):
     team = walk("while (true) { }")
-    with pytest.raises(Stuck, match="does a loop of L neither wait nor end") as stuck:
-        team.run(until_done=True)
+    with pytest.raises(Stuck, match="the coordinators have not ended after 10 s") as stuck:
+        team.run(until_done=True, at_most=10.0)
     assert any("boss on bravo: ready at Boss.init (walk.L:11)" in line for line in stuck.value.standing)
+
+
+def test_calls_without_end_at_a_double_that_takes_no_time_end_by_time(walk):
+    class Quick:
+        def work(self, seconds: float) -> None:
+            return None
+
+    team = walk('while (true) findPost("two").work(0.0);', doubles={"two": Quick()})
+    with pytest.raises(Stuck, match="the coordinators have not ended after 1 s"):
+        team.run(until_done=True, at_most=1.0)

@@ -78,6 +78,67 @@ def test_lfield_test_tells_how_it_went_by_its_status(project):
     assert not (project / "tracks").exists(), "nobody has moved"
 
 
+def test_the_words_of_lfield_test_may_stand_in_any_order(project):
+    (project / "test_other.py").write_text("def test_it_ends_too():\n    pass\n")
+    words = ("-k", "it_ends", "test_walk.py", "-x", "test_other.py", "-q")
+    status, said = run(project, "-m", "lfield", "test", *words)
+    assert (status, "2 passed, 1 deselected" in said) == (exits.DONE, True), said
+    assert "platform" not in said
+    status, said = run(project, "-m", "lfield", "check", "walk.L", "--json", "walk.dL")
+    assert status == exits.DONE, said
+    status, said = run(project, "-m", "lfield", "test", "test_walk.py", "--xyzzy", "test_other.py")
+    assert status == exits.USAGE
+    assert said.startswith("lfield: unrecognized arguments: --xyzzy")
+
+
+MOVES = """
+import pytest
+from pathlib import Path
+
+FLIGHT = Path({flight!r})
+
+@pytest.mark.parametrize("way", ["a/b", "a-b", "long"], ids=["a/b", "a-b", "x" * 300])
+def test_it_moves(lfield_mission, way):
+    team = lfield_mission(FLIGHT)
+    team.run(9.0)
+    assert team.has_moved
+
+def test_two_teams(lfield_mission):
+    for seed in (1, 2):
+        lfield_mission(FLIGHT, seed=seed).run(9.0)
+"""
+
+
+def test_each_team_of_each_test_has_a_picture_of_its_own(tmp_path):
+    test = MOVES.format(flight=str(Path(__file__).parents[2] / "examples/01-first-flight/mission.dL"))
+    for folder in ("near", "far"):
+        (tmp_path / folder).mkdir()
+        (tmp_path / folder / "test_walk.py").write_text(test)
+    words = ("test", ".", "-q", "-k", "moves or far", "--tracks", "seen")
+    (tmp_path / "pytest.ini").write_text("[pytest]\naddopts = --import-mode=importlib\n")
+    status, said = run(tmp_path, "-m", "lfield", *words)
+    assert (status, "7 passed, 1 deselected" in said) == (exits.DONE, True), said
+    pictures = sorted(file.name for file in (tmp_path / "seen").iterdir())
+    long = f"test_walk.test_it_moves-{'x' * 300}"[:120]
+    assert pictures == sorted(
+        [
+            *(f"test_walk.test_it_moves-a-b~{number}.svg" for number in (1, 2, 3, 4)),
+            *(f"{long}~{number}.svg" for number in (1, 2)),
+            *(f"test_walk.test_two_teams~{number}.svg" for number in (1, 2)),
+        ]
+    )
+    assert said.count("tracks: ") == len(pictures)
+
+
+def test_a_picture_that_cannot_be_written_fails_no_test(tmp_path):
+    test = MOVES.format(flight=str(Path(__file__).parents[2] / "examples/01-first-flight/mission.dL"))
+    (tmp_path / "test_walk.py").write_text(test)
+    (tmp_path / "taken").write_text("")
+    status, said = run(tmp_path, "-m", "lfield", "test", "-k", "two_teams", "--tracks", "taken")
+    assert (status, "error" in said) == (exits.DONE, False), said
+    assert f"tracks: {tmp_path}/taken/test_walk.test_two_teams~1.svg cannot be written: File exists" in said
+
+
 FLOWN = """
 import hashlib, sys
 from pathlib import Path
@@ -128,3 +189,22 @@ def test_a_picture_shows_every_device_and_what_was_done_to_it():
     assert "height over 1 s, up to 2.0 m" in texts
     with pytest.raises(ValueError, match="nobody has told where it was"):
         draw({"nowhere": []}, "empty")
+
+
+def test_names_of_devices_that_end_at_one_place_do_not_lie_on_each_other():
+    from lfield.testing.mission.picture import LINE, draw
+    from lfield.testing.mission.watching import Point
+
+    names = ["a.fc", "b.fc", "c.fc", "far.fc"]
+    tracks = {
+        name: [Point(0.0, 9.0, 9.0, 0.0), Point(1.0, 0.1 * n, 0.0, 0.0)] for n, name in enumerate(names)
+    }
+    tracks["far.fc"] = [Point(0.0, 0.0, 0.0, 0.0), Point(1.0, 0.0, 5.0, 0.0)]
+    root = ElementTree.fromstring(draw(tracks, "a landing"))
+    found = root.iter("{http://www.w3.org/2000/svg}text")
+    places = {text.text: (float(text.get("x")), float(text.get("y"))) for text in found}
+    heights = sorted(places[name][1] for name in names[:3])
+    assert heights[1] - heights[0] >= LINE
+    assert heights[2] - heights[1] >= LINE
+    # Where nobody else is, a name is beside its disc.
+    assert places["far.fc"][1] == places["a.fc"][1]

@@ -10,6 +10,7 @@ import tempfile
 from collections.abc import Sequence
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
+from typing import Any
 
 from lfield.driver import DeviceBinding
 from lfield_gps.nmea import KNOT, sentence
@@ -21,6 +22,10 @@ from lfield_sim.terminal import Terminal
 LATITUDE, LONGITUDE, HEIGHT, RADIUS, SPEED = 47.397742, 8.545594, 488.0, 20.0, 2.0
 #: Metres of a degree of latitude.
 DEGREE = 111_320.0
+#: Its number among the devices of the fake: it is the only one.
+NUMBER = "1"
+#: Baud: ten times a second its three sentences are 2,000 bytes, which 9,600 do not carry.
+BAUD = 38_400
 BEGINS = datetime(2026, 11, 22, 12, 0, 0, tzinfo=UTC)
 
 FAULTS = (
@@ -35,7 +40,7 @@ FAULTS = (
 def sentences(seconds: float, *, fix: bool = True) -> bytes:
     """What it says after so many seconds: GGA, GSA and RMC."""
     angle = SPEED / RADIUS * seconds
-    north, east = RADIUS * math.cos(angle), RADIUS * math.sin(angle)
+    north, east = on_circle(seconds)
     latitude = LATITUDE + north / DEGREE
     longitude = LONGITUDE + east / DEGREE / math.cos(math.radians(LATITUDE))
     place = f"{_minutes(latitude, 2)},N,{_minutes(longitude, 3)},E" if fix else ",,,"
@@ -52,6 +57,12 @@ def sentences(seconds: float, *, fix: bool = True) -> bytes:
     return b"".join(map(sentence, told))
 
 
+def on_circle(seconds: float) -> tuple[float, float]:
+    """Where it is then: metres north and east of the middle of its circle."""
+    angle = SPEED / RADIUS * seconds
+    return RADIUS * math.cos(angle), RADIUS * math.sin(angle)
+
+
 def _minutes(degrees: float, digits: int) -> str:
     whole = int(degrees)
     return f"{whole:0{digits}d}{(degrees - whole) * 60.0:08.5f}"
@@ -65,16 +76,21 @@ class Receiver:
         # It is told nothing: what comes is not looked at.
         self._terminal = Terminal(path, lambda data, baud: None)
         self._random = random.Random(1)
+        self._seconds = 0.0
+
+    @property
+    def place(self) -> tuple[float, float, float]:
+        """Where it is: metres north, east and up of the middle of its circle."""
+        return *on_circle(self._seconds), 0.0
 
     async def run(self) -> None:
         """Speak, `rate` times a second, for ever."""
-        seconds = 0.0
         while True:
-            self.be_plugged(not self._faults.get("unplug"))
-            if not self._faults.get("silent"):
-                self._terminal.write(self._damaged(sentences(seconds, fix=not self._faults.get("no_fix"))))
+            self.be_plugged(not self._wrong("unplug"))
+            if not self._wrong("silent"):
+                self._terminal.write(self._damaged(sentences(self._seconds, fix=not self._wrong("no_fix"))))
             await asyncio.sleep(1.0 / self._rate)
-            seconds += 1.0 / self._rate
+            self._seconds += 1.0 / self._rate
 
     def be_plugged(self, plugged: bool) -> None:
         """Be there, or be gone: then a client gets an input/output error. Raises AddressError."""
@@ -83,8 +99,11 @@ class Receiver:
         else:
             self._terminal.unplug()
 
+    def _wrong(self, name: str) -> Any:
+        return self._faults.get(name, NUMBER)
+
     def _damaged(self, said: bytes) -> bytes:
-        noise, half = self._faults.get("noise"), self._faults.get("half")
+        noise, half = self._wrong("noise"), self._wrong("half")
         lines = [
             line[: len(line) // 2] if self._random.random() < half else line for line in said.splitlines(True)
         ]
@@ -120,15 +139,20 @@ class GpsSim:
 
     async def serve(self, args: argparse.Namespace) -> None:
         """The same on a loop that runs; in a test that may be on virtual time."""
-        faults = Faults(FAULTS, {"1": args.called})
+        faults = Faults(FAULTS, {NUMBER: args.called})
         faults.apply(args.fault)
         path = args.listen or f"/dev/{args.called or 'gps'}"
         receiver = Receiver(Path(path), faults, min(10.0, max(1.0, args.rate)))
         receiver.be_plugged(True)
         speaking = asyncio.get_running_loop().create_task(receiver.run())
-        ends, devices = args.until_stdin_closes, {"1": args.called}
         await serve_until_told(
-            "gps", f"serial:{path}:9600", "", faults, devices=devices, until_stdin_closes=ends
+            "gps",
+            f"serial:{path}:{BAUD}",
+            "",
+            faults,
+            devices={NUMBER: args.called},
+            until_stdin_closes=args.until_stdin_closes,
+            places={NUMBER: lambda: receiver.place},
         )
         speaking.cancel()
         receiver.be_plugged(False)

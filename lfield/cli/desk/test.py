@@ -20,6 +20,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("paths", nargs="*", metavar="PATH", help="test files or folders (.)")
     parser.add_argument("-k", default="", metavar="WORDS", help="only tests whose names fit, as in pytest")
     parser.add_argument("-x", action="store_true", help="stop at the first that fails")
+    parser.add_argument("-q", action="store_true", help="say less")
     parser.add_argument("-v", action="store_true", help="name each test")
     parser.add_argument("-s", action="store_true", help="show what tests print")
     parser.add_argument(
@@ -35,6 +36,6 @@ def run(args: argparse.Namespace) -> int:
         raise PluginError("the tests of missions need pytest: pip install pytest") from None
     # Named twice it is loaded once; a project whose configuration names it need not be told of that.
     words = ["-p", "lfield.testing.plugin", "--tracks", os.path.abspath(args.tracks)]
-    words += [flag for flag in ("-x", "-v", "-s") if getattr(args, flag[1:])]
+    words += [flag for flag in ("-x", "-q", "-v", "-s") if getattr(args, flag[1:])]
     words += ["-k", args.k] if args.k else []
     return _STATUSES[int(pytest.main([*words, *args.paths]))]

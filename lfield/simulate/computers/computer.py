@@ -10,7 +10,7 @@ from functools import partial
 from typing import Any, TypeVar
 
 from lfield.loop import Fake, SerialEnd, SerialUser
-from lfield.simulate.computers.loop import ProcessLoop
+from lfield.simulate.computers.loop import ProcessLoop, beyond
 from lfield.simulate.computers.machines import Machine
 from lfield.simulate.computers.network import Listening, Network
 from lfield.simulate.computers.pipes import Child
@@ -112,20 +112,24 @@ class _Loop(ProcessLoop):
         return self._computer.network.listen(self, host, port, made)
 
     async def create_connection(  # type: ignore[override]
-        self, made: Callable[[], asyncio.Protocol], host: str, port: int, **_: Any
+        self, made: Callable[[], asyncio.Protocol], host: str = "", port: int = 0, **_: Any
     ) -> tuple[asyncio.Transport, asyncio.Protocol]:
         """See asyncio; on the simulated network."""
+        if not host:
+            beyond("use a socket")
         return await self._computer.network.connect(self, made, host, port)
 
     async def subprocess_exec(  # type: ignore[override]
         self, made: Callable[[], asyncio.SubprocessProtocol], *command: str, **_: Any
     ) -> tuple[asyncio.SubprocessTransport, asyncio.SubprocessProtocol]:
         """See asyncio; `python -m MODULE` is one of the computer's programs."""
+        program = self._computer.programs.get(command[2]) if len(command) > 2 else None
+        if program is None:
+            beyond(f"start {' '.join(map(str, command))}")
         protocol, child = made(), self._computer.start()
         self._process.children.append(child)
         transport = Child(self, child, protocol)
         protocol.connection_made(transport)
-        program = self._computer.programs[command[2]]
         begin = partial(child.begin, program, command[3:], transport.stdout)
         child.loop.soon(begin, self.machine.dice.uniform(*STARTS))
         return transport, protocol
@@ -159,3 +163,22 @@ class _Loop(ProcessLoop):
         """Be a fake until the process ends."""
         self._process.on_fake(fake)
         await self.create_future()
+
+
+#: What loops of asyncio do with the computer that they run on, and how it is said.
+_BEYOND = {
+    "connect to a Unix socket": ["create_unix_connection"],
+    "listen at a Unix socket": ["create_unix_server"],
+    "open a datagram socket": ["create_datagram_endpoint"],
+    "use a pipe": ["connect_read_pipe", "connect_write_pipe"],
+    "run a command in a shell": ["subprocess_shell"],
+    "wait for a descriptor": ["add_reader", "add_writer", "remove_reader", "remove_writer"],
+    "catch a signal": ["add_signal_handler", "remove_signal_handler"],
+    "use a socket": [
+        "connect_accepted_socket", "sock_accept", "sock_connect", "sock_recv", "sock_recv_into",
+        "sock_recvfrom", "sock_sendall", "sock_sendfile", "sock_sendto", "sendfile", "start_tls",
+    ],
+}  # fmt: skip
+for deed, names in _BEYOND.items():
+    for name in names:
+        setattr(_Loop, name, lambda *_, deed=deed, **__: beyond(deed))

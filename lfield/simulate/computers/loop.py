@@ -8,9 +8,11 @@ from __future__ import annotations
 
 import asyncio
 import ctypes
+import errno
 import math
+import sys
 from collections.abc import Callable, Coroutine, Sequence
-from typing import Any
+from typing import Any, NoReturn
 
 from lfield.simulate.computers.machines import Machine
 from lfield.simulate.computers.timeline import Planned
@@ -21,12 +23,20 @@ ROUNDS, TOOK = 100, 0.001
 TICK = 1e-9
 #: Seconds that work in a thread takes.
 IN_A_THREAD = 0.002
+#: Seconds of computing that others wait for; less is owed until it has come to that.
+GRAIN = 0.001
 
 
 #: One reference more, or less, than anybody holds. What is pinned no collector frees, also not at the end.
 _pin, _unpin = ctypes.pythonapi.Py_IncRef, ctypes.pythonapi.Py_DecRef
 _pin.argtypes = _unpin.argtypes = (ctypes.py_object,)
 _pin.restype = _unpin.restype = None
+
+
+def beyond(deed: str) -> NoReturn:
+    """A process wants to do what leads out of the simulation; who fences that in is told first (PEP 578)."""
+    sys.audit("lfield.beyond", deed)
+    raise OSError(errno.ENETUNREACH, f"it wanted to {deed}, and nothing simulated leads there")
 
 
 class _Nothing:
@@ -52,6 +62,11 @@ class ProcessLoop(asyncio.BaseEventLoop):
         self._wake: Planned | None = None
         self._woken_at = math.inf
         self._rounds = 0
+        #: Seconds that were computed and that nobody has waited for yet.
+        self._owed = 0.0
+        #: For how long nothing happens from now on, and whether it is so now.
+        self._hold: float | None = None
+        self._held = False
         self.set_task_factory(_pinned)  # type: ignore[arg-type]
 
     def time(self) -> float:
@@ -67,7 +82,7 @@ class ProcessLoop(asyncio.BaseEventLoop):
         """Something comes in: let the loop run, if the process can."""
         if self.dead:
             return
-        if self.frozen:
+        if self.frozen or self._held:
             self._backlog.append(event)
             return
         self.call_soon(event)
@@ -85,10 +100,7 @@ class ProcessLoop(asyncio.BaseEventLoop):
         """As SIGCONT: what has come meanwhile, and the timers that are over, all at once."""
         if self.frozen and not self.dead:
             self.frozen = False
-            for event in self._backlog:
-                self.call_soon(event)
-            self._backlog.clear()
-            self._run()
+            self._catch_up()
 
     def die(self) -> None:
         """As SIGKILL: none of its coroutines goes on, and none is unwound (`_pinned`)."""
@@ -97,11 +109,40 @@ class ProcessLoop(asyncio.BaseEventLoop):
         if self._wake is not None:
             self._wake.call_off()
 
+    def compute(self, seconds: float) -> None:
+        """What is done now takes so long on this computer: meanwhile nothing else of the process happens."""
+        self._owed += seconds
+        if self._owed >= GRAIN:
+            self.hold(self._owed)
+            self._owed = 0.0
+
+    def hold(self, seconds: float = 0.0) -> None:
+        """When what is done now is done, nothing of the process happens for so long."""
+        self._hold = (self._hold or 0.0) + seconds
+        self.stop()
+
     # --- the loop -------------------------------------------------------------------------------------
 
     def _run(self) -> None:
         self._rounds = 0
         self.run_forever()
+        if self._hold is not None:
+            self._held = True
+            self._timeline.after(self._hold, self._let_go)
+            self._hold = None
+
+    def _let_go(self) -> None:
+        self._held = False
+        if not self.dead and not self.frozen:
+            self._catch_up()
+
+    def _catch_up(self) -> None:
+        if self._held:
+            return
+        for event in self._backlog:
+            self.call_soon(event)
+        self._backlog.clear()
+        self._run()
 
     def would_wait(self, timeout: float | None) -> None:
         """There is nothing more to do for so many seconds of its clock, None for ever."""
@@ -126,7 +167,7 @@ class ProcessLoop(asyncio.BaseEventLoop):
         self._woken_at = math.inf
         if self.dead:
             return
-        if self.frozen:
+        if self.frozen or self._held:
             self._backlog.append(_nothing)
             return
         self._run()

@@ -10,7 +10,7 @@ from functools import partial
 from typing import Any
 
 from lfield.simulate.computers.connection import Address, Connection, End, Socket, reset
-from lfield.simulate.computers.loop import ProcessLoop
+from lfield.simulate.computers.loop import ProcessLoop, beyond
 from lfield.simulate.computers.machines import Machine, Ways
 from lfield.simulate.computers.serial import SerialPort
 from lfield.simulate.computers.timeline import Timeline
@@ -108,7 +108,7 @@ class Network:
         """Call whoever listens there; while nothing answers, for ever. Raises ConnectionRefusedError."""
         here, there = loop.machine, self._machines.get(host)
         if there is None:
-            raise OSError(errno.ENETUNREACH, f"{host} is no part of this simulation")
+            beyond(f"connect to {host}:{port}")
         await asyncio.sleep(self.ways.delay((here.name, there.name)))
         while self.ways.silences(here.name, there.name) or not there.on:
             await asyncio.sleep(AGAIN)

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import inspect
+from collections import deque
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field
 from functools import partial
-from typing import Protocol
+from unittest.mock import NonCallableMock
 
 from lfield.bytecode.disassemble import type_name
 from lfield.bytecode.program import MethodRecord, Program
 from lfield.errors import DoubleError
 from lfield.mission.mission import Mission
 from lfield.simulate.fleet import Life
+from lfield.testing.mission import stated
 from lfield.testing.mission.answers import After, Throws
 from lfield.testing.mission.calls import arguments_of
 from lfield.testing.mission.values import Made, Mismatch, type_word
@@ -20,62 +22,63 @@ from lfield.text.suggest import did_you_mean, listed
 from lfield.vm.agent import Member
 from lfield.vm.attached import Asked
 from lfield.vm.machine import Machine
-
-
-class Later(Protocol):
-    """Lets something happen in one life of a host, after so many seconds of true time."""
-
-    def __call__(self, seconds: float, event: Callable[[], None]) -> None:
-        """Let it happen, and the host see it, unless this life is over by then."""
-
-    @property
-    def is_over(self) -> bool:
-        """Whether this life is over: a double may end it itself, in the middle of what the host does."""
+from lfield.vm.memory.threads import place_of
 
 
 class Doubles:
     """Objects that answer for resources, by the ids of those: a method for each portal, or an attribute that
     can be called. It is given the arguments as Python values (`values`) and returns the result, or `After`;
-    it may raise `Throws`.
+    it may raise `Throws`. The mission was loaded with them `doubled`.
 
-    The resource of a double is open at once: its `init` does not run, and it has no devices. So its live
-    attributes are not known; in all else it offers what its class does. Calls of a `synchronized` portal do
-    not wait for one another: the double is asked at once, and may answer `After`.
+    The resource of a double is open at once: its `init` does not run, and it has no devices. Its live
+    attributes are what the double says of them (`stated`); in all else it offers what its class does.
+    `synchronized` portals are asked one at a time, as they were called: whoever runs the team lets them
+    `take_turns` after each event.
 
     What goes wrong in a double is put into `trouble`, and the portal that was called never ends: whoever runs
     the team raises that after the event. Raises DoubleError for a double that does not fit the mission.
     """
 
     def __init__(self, mission: Mission, doubles: Mapping[str, object]) -> None:
+        self._mission = mission
+        self._doubles: list[tuple[Member, object]] = []
         for id, double in doubles.items():
-            _check(mission.program, _stood_for(mission, id), double)
-        self._doubles = dict(doubles)
-        #: The mission, in which those resources have no devices.
-        self.mission = without_devices(mission, doubles)
+            member = _stood_for(mission, id)
+            _check(mission.program, member, double)
+            stated.check(mission, member, double)
+            self._doubles.append((member, double))
         self.trouble: list[BaseException] = []
+        self._monitors: list[_Monitor] = []
 
-    def watch(self, machine: Machine, later: Later) -> None:
-        """Let the doubles answer on a machine, which is that of one life of a host, before anything runs.
+    def watch(self, life: Life) -> None:
+        """Let the doubles answer in one life of a host, before anything runs."""
+        machine, later = life.core.machine, _Later(life)
+        for member, double in self._doubles:
+            monitor = _Monitor(machine, later, partial(self._answer, machine, later, double))
+            machine.attached.stand_ins[member.id] = monitor.asked
+            self._monitors.append(monitor)
+            if stated.tells(double):
+                stated.attach(self._mission, member, life, double, self.trouble)
 
-        `later` is as `later_in` makes it for that life.
-        """
-        for id, double in self._doubles.items():
-            machine.attached.stand_ins[id] = partial(self._asked, machine, later, double)
+    def take_turns(self) -> None:
+        """Something has happened: where nobody is in a synchronized portal any more, the next one is."""
+        for monitor in self._monitors:
+            monitor.look()
 
-    def _asked(self, machine: Machine, later: Later, double: object, asked: Asked) -> None:
+    def _answer(self, machine: Machine, later: _Later, double: object, asked: Asked) -> None:
         """A portal is called. No exception of the double may come to L: it is one of the test."""
         if later.is_over:
             return
         try:
             answer = _answered(machine, double, asked)
             if not later.is_over:
-                self._answer(machine, later, asked, answer)
+                self._end(machine, later, asked, answer)
         except (KeyboardInterrupt, SystemExit):
             raise
         except BaseException as error:
             self.trouble.append(error)
 
-    def _answer(self, machine: Machine, later: Later, asked: Asked, answer: object) -> None:
+    def _end(self, machine: Machine, later: _Later, asked: Asked, answer: object) -> None:
         wait = answer if isinstance(answer, After) else None
         value = wait.value if wait is not None else answer
         if isinstance(value, Throws):
@@ -88,13 +91,10 @@ class Doubles:
             later(wait.seconds, end)
 
 
-def later_in(life: Life) -> Later:
-    """Lets things happen in one life of a host of a simulated team; what is due after that does not."""
-    return _InLife(life)
-
-
 @dataclass(frozen=True, slots=True)
-class _InLife:
+class _Later:
+    """Lets something happen in one life of a host after so many seconds of true time, and the host see it."""
+
     life: Life
 
     def __call__(self, seconds: float, event: Callable[[], None]) -> None:
@@ -106,13 +106,43 @@ class _InLife:
 
     @property
     def is_over(self) -> bool:
+        """Whether this life is: a double may end it itself, in the middle of what the host does."""
         return self.life.process.loop.dead
 
 
-def without_devices(mission: Mission, ids: Mapping[str, object]) -> Mission:
-    """The same mission in which these agents have no devices."""
-    devices = {agent: {} if agent in ids else fields for agent, fields in mission.bindings.devices.items()}
-    return mission.with_bindings(replace(mission.bindings, devices=devices))
+@dataclass(slots=True)
+class _Monitor:
+    """Asks a double in one life of its host: of synchronized portals one at a time, in the order of calls."""
+
+    _machine: Machine
+    _later: _Later
+    _answer: Callable[[Asked], None]
+    _inside: Asked | None = None
+    _waiting: deque[Asked] = field(default_factory=deque)
+
+    def asked(self, asked: Asked) -> None:
+        """A portal is called."""
+        if not self._machine.program.core.methods[asked.method].synchronized:
+            self._answer(asked)
+            return
+        self._waiting.append(asked)
+        self.look()
+
+    def look(self) -> None:
+        """Let the next one in, when whoever was inside has left or was cancelled."""
+        if not self._waiting or (self._inside is not None and _goes_on(self._inside)):
+            return
+        self._inside = self._waiting.popleft()
+        self._later(0.0, partial(self._enter, self._inside))
+
+    def _enter(self, asked: Asked) -> None:
+        if _goes_on(asked):
+            self._answer(asked)
+
+
+def _goes_on(asked: Asked) -> bool:
+    """Whether a call was not cancelled, and has no answer yet."""
+    return not asked.resource.ended and bool(place_of(asked.resource.block, asked.thread))
 
 
 # --- when a portal is called --------------------------------------------------------------------------
@@ -204,9 +234,17 @@ def _portals(program: Program, type: str) -> dict[str, list[MethodRecord]]:
 
 
 def _methods(double: object) -> Iterator[tuple[str, Callable[..., object]]]:
-    """What of an object can be called, and is not its own affair; no property is asked."""
+    """What of an object can be called, and is not its own affair; no property is asked.
+
+    A mock has methods for the test, beside those that it stands for.
+    """
+    own = {stated.NAME, *(dir(NonCallableMock) if isinstance(double, NonCallableMock) else ())}
     for name in dir(double):
-        if name.startswith("_") or isinstance(inspect.getattr_static(double, name, None), property):
+        if (
+            name.startswith("_")
+            or name in own
+            or isinstance(inspect.getattr_static(double, name, None), property)
+        ):
             continue
         value = getattr(double, name)
         if callable(value) and not isinstance(value, type):

@@ -14,6 +14,7 @@ from lfield.mission.mission import Mission
 from lfield.simulate.computers.computer import Process
 from lfield.simulate.fleet import Fleet, at_endpoints, buses_of
 from lfield.testing.cables import CabledFake, all_serve
+from lfield.testing.mission import asked
 
 Place = tuple[float, float, float]
 #: Host, driver and endpoint.
@@ -35,7 +36,7 @@ class FakeDevice:
         Raises MissionTestError for what this fake does not know.
         """
         wrong: list[ValueError] = []
-        named = [_at(text, self._number) for text in faults]
+        named = [_at(text, self._number) for text in asked.words(faults, f"{self.name}: set(...)")]
 
         def apply() -> None:
             try:

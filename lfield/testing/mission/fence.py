@@ -1,63 +1,199 @@
 """While a mission is under test nothing real is touched: no network, no port, no device, no process.
 
-Python tells its audit hooks of all that (PEP 578), whichever library does it. A hook cannot be taken away
-again, so there is one, and it looks whether a test runs.
+Python tells its audit hooks of nearly all that (PEP 578), whichever library does it. A hook cannot be taken
+away again, so there is one, and it looks whether a fence stands. Of what Python tells nothing, functions are
+exchanged for as long as one does. Behind a fence are the test itself and every thread that began after it
+went up; what was there before, such as a debugger, is not.
 """
 
 from __future__ import annotations
 
+import _posixsubprocess
+import os
+import socket
+import stat
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from functools import wraps
+from typing import Any
 
 from lfield.errors import RealEndpoint
 
-#: What is told of, and how it is said.
+#: What is told of, and how it is said of its arguments.
 _ACTS = {
-    "socket.connect": "it wanted to connect to {1}",
-    "socket.bind": "it wanted to listen at {1}",
-    "socket.sendto": "it wanted to send to {1}",
-    "socket.sendmsg": "it wanted to send to {1}",
-    "socket.getaddrinfo": "it wanted to reach {0}:{1}",
-    "subprocess.Popen": "it wanted to start {0}",
-    "os.posix_spawn": "it wanted to start {0}",
+    "socket.getaddrinfo": "reach {0}:{1}",
+    "socket.gethostbyname": "reach {0}",
+    "socket.gethostbyaddr": "reach {0}",
+    "socket.getnameinfo": "reach {0}",
+    "subprocess.Popen": "start {0}",
+    "os.posix_spawn": "start {0}",
+    "os.exec": "start {0}",
+    "os.system": "start {0}",
+    "os.fork": "start a process",
+    "os.forkpty": "start a process",
+    "ctypes.dlopen": "load {0} by ctypes",
+    "ctypes.dlsym": "call {1} by ctypes",
+    # What a process of a simulated computer wants of the real one.
+    "lfield.beyond": "{0}",
 }
-#: Of the files in /dev, these are no devices.
-_HARMLESS = ("/dev/null", "/dev/urandom", "/dev/random", "/dev/zero", "/dev/shm/")
+#: The same where it is done with a socket, the first argument.
+_WITH_A_SOCKET = {
+    "socket.connect": "connect to {1}",
+    "socket.bind": "listen at {1}",
+    "socket.sendto": "send to {1}",
+    "socket.sendmsg": "send to {1}",
+}
+#: The devices that lead nowhere, by their numbers: null, zero, full, random, urandom and the terminal.
+_NOWHERE = {*(os.makedev(1, minor) for minor in (3, 5, 7, 8, 9)), os.makedev(5, 0)}
 
 
-class _Fence:
+class Fence:
+    """Stands from now on, until it is taken `down`. `caught` is what was tried behind it and nobody raised.
+
+    What the test itself tries between two runs is raised there, and is in no list.
+    """
+
     def __init__(self) -> None:
-        self.up = self.there = False
         self.caught: list[RealEndpoint] = []
+        #: Whether the mission runs, not only the test.
+        self.is_running = False
+        self._test = threading.get_native_id()
+        self._outside = {int(thread) for thread in os.listdir("/proc/self/task")} - {self._test}
+        if not _STANDING:
+            _exchange()
+        _STANDING.append(self)
 
-    def hook(self, event: str, arguments: tuple[object, ...]) -> None:
-        if not self.up:
+    def down(self) -> None:
+        """It stands no more."""
+        if self in _STANDING:
+            _STANDING.remove(self)
+            if not _STANDING:
+                _put_back()
+
+    @contextmanager
+    def running(self) -> Iterator[None]:
+        """Whatever is tried within is in the list, also where whoever tries keeps silent about it."""
+        self.is_running = True
+        try:
+            yield
+        finally:
+            self.is_running = False
+
+    def refuse(self, what: str) -> None:
+        """Raise it, unless whoever wants it stands outside."""
+        thread = threading.get_native_id()
+        if thread in self._outside:
             return
-        what = ""
-        if event in _ACTS:
-            what = _ACTS[event].format(*arguments)
-        elif event == "open" and str(arguments[0]).startswith("/dev/"):
-            path = str(arguments[0])
-            what = "" if path.startswith(_HARMLESS) else f"it wanted to open {path}"
-        if what:
-            error = RealEndpoint(what)
+        error = RealEndpoint(f"it wanted to {what}")
+        if self.is_running or thread != self._test:
             self.caught.append(error)
-            raise error
-
-
-_FENCE = _Fence()
+        raise error
 
 
 @contextmanager
 def fenced() -> Iterator[list[RealEndpoint]]:
-    """Let nothing out; what was tried is in the list, also where whoever tried has kept silent about it."""
-    if not _FENCE.there:
-        sys.addaudithook(_FENCE.hook)
-        _FENCE.there = True
-    before, _FENCE.up = _FENCE.up, True
-    _FENCE.caught = []
+    """A fence about what runs within; what was tried is in the list."""
+    fence = Fence()
     try:
-        yield _FENCE.caught
+        with fence.running():
+            yield fence.caught
     finally:
-        _FENCE.up = before
+        fence.down()
+
+
+#: The fences of all teams that are there; several stand where a test has several teams.
+_STANDING: list[Fence] = []
+
+
+def _refuse(what: str) -> None:
+    running = (fence for fence in _STANDING if fence.is_running)
+    next(running, _STANDING[-1]).refuse(what)
+
+
+# --- what Python tells --------------------------------------------------------------------------------
+
+
+def _hook(event: str, arguments: tuple[Any, ...]) -> None:
+    if not _STANDING:
+        return
+    if event in _ACTS:
+        _refuse(_ACTS[event].format(*arguments))
+    elif event in _WITH_A_SOCKET and not _is_pair(arguments[0]):
+        _refuse(_WITH_A_SOCKET[event].format(*arguments))
+    elif event == "open" and not isinstance(arguments[0], int) and _is_device(arguments[0]):
+        _refuse(f"open {os.fsdecode(arguments[0])}")
+
+
+sys.addaudithook(_hook)
+
+
+def _is_device(path: str | bytes | os.PathLike[str]) -> bool:
+    """Whether a path leads to a device, by whatever links; what is not there in /dev would be one."""
+    try:
+        found = os.stat(path)
+    except (OSError, ValueError):
+        real = os.path.realpath(os.fsdecode(path))
+        return real.startswith("/dev/") and not real.startswith("/dev/shm/")
+    return stat.S_IFMT(found.st_mode) in (stat.S_IFCHR, stat.S_IFBLK) and found.st_rdev not in _NOWHERE
+
+
+def _is_pair(one: socket.socket) -> bool:
+    """Whether a socket is one of a pair within this process, as loops have to wake up."""
+    with suppress(OSError):
+        return one.family == socket.AF_UNIX and not one.getpeername()
+    return False
+
+
+# --- what it does not tell ----------------------------------------------------------------------------
+
+
+def _with_a_socket(name: str) -> Callable[..., str]:
+    return lambda used, *_, **__: "" if _is_pair(used) else f"use a socket ({name})"
+
+
+def _in_a_folder(path: Any, *_: Any, dir_fd: int | None = None, **__: Any) -> str:
+    """A path as seen from an open folder: Python tells of the path alone."""
+    if dir_fd is None or not _is_device(os.path.join(f"/proc/self/fd/{dir_fd}", os.fsdecode(path))):
+        return ""
+    return f"open {os.fsdecode(path)}"
+
+
+#: Where it is done, by which function, and what is to be said of its arguments, '' for nothing.
+_SILENT: list[tuple[Any, str, Callable[..., str]]] = [
+    (os, "open", _in_a_folder),
+    # By this multiprocessing starts what it does not fork.
+    (_posixsubprocess, "fork_exec", lambda command, *_: f"start {os.fsdecode(command[0])}"),
+    *(
+        (socket.socket, name, _with_a_socket(name))
+        for name in ("listen", "accept", "send", "sendall", "sendfile", "recv", "recv_into", "recvfrom")
+    ),
+]
+_before: list[tuple[Any, str, Any]] = []
+
+
+def _exchange() -> None:
+    for where, name, told in _SILENT:
+        _before.append((where, name, vars(where).get(name)))
+        setattr(where, name, _refusing(getattr(where, name), told))
+
+
+def _put_back() -> None:
+    while _before:
+        where, name, function = _before.pop()
+        if function is None:
+            # It was another class's, from which this one has it.
+            delattr(where, name)
+        else:
+            setattr(where, name, function)
+
+
+def _refusing(function: Callable[..., Any], told: Callable[..., str]) -> Callable[..., Any]:
+    @wraps(function)
+    def refusing(*arguments: Any, **named: Any) -> Any:
+        if what := told(*arguments, **named):
+            _refuse(what)
+        return function(*arguments, **named)
+
+    return refusing

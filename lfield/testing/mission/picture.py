@@ -57,7 +57,8 @@ def draw(tracks: Mapping[str, Sequence[Point]], title: str, marks: Sequence[Mark
     plan = _Plan([point for points in drawn.values() for point in points], drawn)
     colours = dict(zip(drawn, cycle(COLOURS), strict=False))
     parts = [_grid(plan)]
-    parts += [_track(plan, name, points, colours[name]) for name, points in drawn.items()]
+    parts += [_track(plan, points, colours[name]) for name, points in drawn.items()]
+    parts += _names(plan, drawn, colours)
     parts += [_mark(plan, drawn[mark.device], mark) for mark in marks if mark.device in drawn]
     height = plan.height
     if max(point.up for points in drawn.values() for point in points) > FLIES:
@@ -95,16 +96,32 @@ def _steps(first: float, step: float, pixel: Callable[[float], float], last: flo
     return found
 
 
-def _track(plan: _Plan, name: str, points: Sequence[Point], colour: str) -> str:
-    """A line from a ring to a disc, with the name beside the disc."""
+def _track(plan: _Plan, points: Sequence[Point], colour: str) -> str:
+    """A line from a ring to a disc."""
     places = [(plan.x(point.east), plan.y(point.north)) for point in _thinned(points)]
     (x0, y0), (x, y) = places[0], places[-1]
     path = "M" + "L".join(f"{a:.1f} {b:.1f}" for a, b in places)
     return (
         f'<path d="{path}" stroke="{colour}" stroke-width="2" stroke-linejoin="round" fill="none"/>\n'
         f'<circle cx="{x0:.1f}" cy="{y0:.1f}" r="5" stroke="{colour}" stroke-width="2" fill="#fff"/>\n'
-        f'<circle cx="{x:.1f}" cy="{y:.1f}" r="5" fill="{colour}"/>\n{_text(x + 8, y + 4, name, colour)}'
+        f'<circle cx="{x:.1f}" cy="{y:.1f}" r="5" fill="{colour}"/>'
     )
+
+
+def _names(plan: _Plan, tracks: Mapping[str, Sequence[Point]], colours: Mapping[str, str]) -> list[str]:
+    """The names beside the discs; those of devices that end at one place are below one another."""
+    taken: list[tuple[float, float, float]] = []
+    texts = []
+    for name, points in tracks.items():
+        x, y = plan.x(points[-1].east) + 8, plan.y(points[-1].north) + 4
+        end = x + _length(name)
+        while beside := [
+            lower for left, right, lower in taken if left < end and x < right and abs(y - lower) < LINE
+        ]:
+            y = max(beside) + LINE
+        taken.append((x, end, y))
+        texts.append(_text(x, y, name, colours[name]))
+    return texts
 
 
 def _thinned(points: Sequence[Point]) -> list[Point]:

@@ -8,21 +8,28 @@ seed is one run.
 from __future__ import annotations
 
 import math
-import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
-from typing import NamedTuple
+from types import MappingProxyType, SimpleNamespace
+from typing import NamedTuple, cast
 
-from lfield.errors import MissionTestError, Stuck
+from lfield.errors import MissionTestError, RealEndpoint, Stuck
 from lfield.mission.load import load_mission
+from lfield.net.transport import Link
 from lfield.simulate.fleet import Fleet, Life
+from lfield.testing.mission import asked
 from lfield.testing.mission.calls import Calls, PortalCall
-from lfield.testing.mission.doubles import Doubles, later_in
+from lfield.testing.mission.doubles import Doubles
 from lfield.testing.mission.fakes import FakeDevice, Fakes
-from lfield.testing.mission.fence import fenced
+from lfield.testing.mission.fence import Fence
+from lfield.testing.mission.patience import Held, Patience
 from lfield.testing.mission.picture import Mark
 from lfield.testing.mission.standing import standing
 from lfield.testing.mission.watching import Hop, Hops, Lines, Point, Tracks
+from lfield.wire.messages import Control
+from lfield.wire.observing import Pause
 
 #: Seconds of virtual time after which what has not come is not waited for any more.
 AT_MOST = 3600.0
@@ -34,10 +41,14 @@ LOOK = 0.02
 DAY = (1.8e9, 1.8e9 + 0.5)
 #: Metres that are a move.
 MOVED = 0.5
-#: Seconds of real time that one `run` may take.
+#: Seconds of real time that one `run` may take, and the making of a team.
 PATIENCE = 120.0
 #: So many lines are shown of a host that has ended.
 LAST_WORDS = 5
+
+
+#: Who gives commands, as somebody at a desk does, and waits for no answer.
+_PERSON = cast(Link, SimpleNamespace(peer="the test", send=lambda message: None))
 
 
 class Line(NamedTuple):
@@ -61,13 +72,13 @@ class Team:
         path: Path,
         *,
         seed: int = 0,
-        doubles: Mapping[str, object] | None = None,
-        fakes: Mapping[str, Sequence[str]] | None = None,
+        doubles: Mapping[str, object] = MappingProxyType({}),
+        fakes: Mapping[str, Sequence[str]] = MappingProxyType({}),
         keeps: bool = True,
     ) -> None:
-        doubled = Doubles(load_mission(path, simulate=True), doubles or {})
-        mission = self.mission = doubled.mission
-        self._fakes, self._doubles = Fakes(fakes or {}, self._mark), doubled
+        doubles = asked.doubles(doubles)
+        mission = self.mission = load_mission(path, simulate=True, doubled=doubles)
+        self._fakes, self._doubles = Fakes(asked.wrong(fakes), self._mark), Doubles(mission, doubles)
         #: How coordinators ended, with the start that did: hosts that are gone tell it no more.
         self._outcomes: dict[str, tuple[int, str]] = {}
         #: What the test has done to the team, for its picture.
@@ -77,21 +88,25 @@ class Team:
         self._away: set[str] = set()
         self._calls, self._hops = Calls(lambda: self.now), Hops(lambda: self.now)
         self._lines = Lines(mission.program, lambda seconds, event: self._fleet.later(seconds, event))
-        self._caught: Sequence[MissionTestError] = ()
-        self._patience = math.inf
         #: Words that somebody shall say, and how much of the log was looked at for them.
         self._awaited, self._read = "", 0
-        with fenced() as self._caught:
-            self._fleet = Fleet(
-                mission,
-                seed,
-                watch=self._watch,
-                unreachable_after=mission.bindings.unreachable_after,
-                keeps=keeps,
-                born=self._born,
-                plug=self._fakes.plug,
-            )
-        self._watch(self._fleet)
+        self._runs = False
+        self._fence = Fence()
+        try:
+            with self._running(), self._patiently():
+                self._fleet = Fleet(
+                    mission,
+                    asked.seed(seed),
+                    watch=self._watch,
+                    unreachable_after=mission.bindings.unreachable_after,
+                    keeps=keeps,
+                    born=self._born,
+                    plug=self._fakes.plug,
+                )
+                self._watch(self._fleet)
+        except BaseException:
+            self._fence.down()
+            raise
         for machine in self._fleet.machines.values():
             machine.set_day(DAY)
         self._tracks = Tracks(self._fakes.devices, lambda: self.now, self._fleet.later)
@@ -99,7 +114,7 @@ class Team:
     def _born(self, name: str, life: Life) -> None:
         machine = life.core.machine
         self._calls.watch(machine)
-        self._doubles.watch(machine, later_in(life))
+        self._doubles.watch(life)
         self._hops.watch(life)
         self._lines.watch(life)
 
@@ -112,9 +127,9 @@ class Team:
 
     def run(
         self,
-        seconds: float = 0.0,
+        seconds: float | None = None,
         *,
-        until: str | Callable[[], bool] = "",
+        until: str | Callable[[], bool] | None = None,
         until_done: bool = False,
         at_most: float = AT_MOST,
     ) -> None:
@@ -123,36 +138,73 @@ class Team:
 
         Raises Stuck when that has not come after `at_most` seconds, or cannot come any more, or when this
         takes PATIENCE seconds of real time; and what went wrong in a double, or wanted to touch this
-        computer.
+        computer. Raises MissionTestError for what is no end, and where time goes on already.
         """
-        self._patience = time.monotonic() + PATIENCE
-        if until_done:
-            waited = "the coordinators have not ended"
-            self._wait(lambda: self._have_ended, at_most, waited)
-        elif callable(until):
-            self._wait(until, at_most, "what the test waits for has not come")
-        elif until:
-            self._awaited, self._read = until, len(self._fleet.log)
-            self._wait(lambda: not self._awaited, at_most, f"nobody has said {until!r}")
-        else:
-            self._go(seconds)
+        asked.one_end(seconds, until, until_done=until_done)
+        at_most = asked.seconds(at_most, "run(at_most=...)")
+        with self._running(), self._patiently():
+            if until_done:
+                waited = "the coordinators have not ended"
+                self._wait(lambda: self._have_ended, at_most, waited)
+            elif callable(until):
+                self._wait(until, at_most, "what the test waits for has not come")
+            elif until is not None:
+                self._awaited, self._read = until, len(self._fleet.log)
+                self._wait(lambda: not self._awaited, at_most, f"nobody has said {until!r}")
+            else:
+                self._fleet.run(asked.seconds(seconds, "run(...)"))
 
     def _wait(self, come: Callable[[], bool], at_most: float, why: str) -> None:
         began, end, over = self.now, self.now + at_most, False
         while not come():
             if self.now >= end:
                 took = f"{self.now - began:.0f} s of the mission" + (", which has ended" if over else "")
-                raise Stuck(f"{why} after {took}", standing(self._fleet))
-            self._go(LOOK)
+                raise Stuck(f"{why} after {took}", self._standing())
+            self._fleet.run(LOOK)
             if self._awaited and not over and self._have_ended:
                 over, end = True, min(end, self.now + AFTERWARDS)
             if gone := self._team_hosts - self._fleet.lives.keys() - self._away:
                 name = min(gone)
                 raise Stuck(f"{why}, and {name} has ended by itself", self._last_words(name))
 
-    def _go(self, seconds: float) -> None:
-        with fenced() as self._caught:
-            self._fleet.run(seconds)
+    @contextmanager
+    def _patiently(self) -> Iterator[None]:
+        """What is not the test's own may run within: it touches nothing real, and has an end."""
+        try:
+            with self._fence.running(), Patience(PATIENCE) as self._patience:
+                yield
+        except Held:
+            raise self._held() from None
+        except RealEndpoint:
+            # It is told, however often it was tried.
+            self._fence.caught.clear()
+            raise
+
+    def _held(self) -> Stuck:
+        fleet = getattr(self, "_fleet", None)
+        when = f"at {fleet.now:.3f} s of the mission" if fleet else "before the mission has begun"
+        by = f", held by {self._patience.holder}" if self._patience.holder else ""
+        took = f"the test has run for {PATIENCE:g} s of real time"
+        return Stuck(f"{when} {took}{by}", self._standing() if fleet else [])
+
+    @contextmanager
+    def _running(self) -> Iterator[None]:
+        """The mission runs, once at a time, and ends no process but its own."""
+        if self._runs:
+            raise MissionTestError(
+                "time goes on already: a double, an action or a condition cannot run the team; "
+                "a double that takes its time returns After(seconds, value)"
+            )
+        self._runs = True
+        try:
+            yield
+        except SystemExit as error:
+            raise MissionTestError(
+                f"something under test wants to end Python by sys.exit({error.code!r}); let it raise an "
+                "error of its own, or return"
+            ) from error
+        finally:
+            self._runs = False
 
     def _watch(self, fleet: Fleet) -> None:
         """Something has happened: raise what went wrong with it, and stop at a line that is waited for."""
@@ -160,13 +212,23 @@ class Team:
             self._awaited = ""
             fleet.timeline.pause()
         self._read = len(fleet.log)
-        for trouble in (*self._doubles.trouble, *self._caught, *self._fakes.trouble):
+        self._doubles.take_turns()
+        if self._patience.over:
+            raise self._held()
+        self._raise_caught()
+        for trouble in (*self._doubles.trouble, *self._fakes.trouble):
             raise trouble
         if fleet.failed:
             raise Stuck("a host has ended because of a bug in lfield", self._last_words())
-        if time.monotonic() > self._patience:
-            why = f"the test has run for {PATIENCE:g} s; does a loop of L neither wait nor end?"
-            raise Stuck(f"at {fleet.now:.3f} s of the mission {why}", standing(fleet))
+
+    def _raise_caught(self) -> None:
+        """What was tried with what is real, the first of it."""
+        caught, self._fence.caught = self._fence.caught, []
+        for error in caught:
+            raise error
+
+    def _standing(self) -> list[str]:
+        return standing(self._fleet, self.ended, self.hops)
 
     def _last_words(self, host: str = "") -> list[str]:
         said = [line for line in self.log if host in ("", line.host)]
@@ -231,21 +293,25 @@ class Team:
         return self._fakes.devices[device]
 
     def at(self, seconds: float, action: Callable[[], None]) -> None:
-        """Do something at a moment, in seconds since the team began."""
-        self._fleet.timeline.at(seconds, action)
+        """Do something at a moment, in seconds since the team began; now, if that is past.
+
+        Raises MissionTestError.
+        """
+        call = f"at({seconds!r}, ...)"
+        self._fleet.timeline.at(asked.seconds(seconds, call), asked.action(action, call))
 
     def when(self, line: str, action: Callable[[], None]) -> None:
         """Do something, once, as soon as anybody comes to `mission.L:42`. Raises MissionTestError."""
-        self._lines.when(line, action)
+        self._lines.when(line, asked.action(action, f"when({line!r}, ...)"))
 
     def cut(self, one: str, other: str) -> None:
         """Break what connects two hosts, and let nothing through until `heal`."""
-        self._fleet.cut(self._host(one), self._host(other))
+        self._fleet.cut(*self._two(one, other))
         self._mark(f"{one} and {other} are cut off")
 
     def heal(self, one: str, other: str) -> None:
         """Let everything through again."""
-        self._fleet.heal(self._host(one), self._host(other))
+        self._fleet.heal(*self._two(one, other))
         self._mark(f"{one} and {other} hear each other again")
 
     def crash(self, host: str) -> None:
@@ -272,14 +338,36 @@ class Team:
         """Tell hosts, or all, to end in order, as by SIGTERM: their devices come to rest first."""
         for host in hosts or tuple(self._fleet.lives):
             self._away.add(self._host(host))
-            self._fleet.stop(host)
+            if host in self._fleet.lives:
+                self._fleet.stop(host)
+
+    def pause(self) -> None:
+        """As `lfield pause`: no program runs, and devices come to rest, until `resume`."""
+        self._command(Pause())
+        self._mark("the mission is paused")
+
+    def resume(self) -> None:
+        """Let all go on."""
+        self._command(Pause(lift=True))
+        self._mark("the mission goes on")
+
+    def _command(self, word: Control) -> None:
+        for life in self._fleet.lives.values():
+            life.process.loop.enter(partial(life.host.received, "", word, _PERSON))
 
     def close(self) -> None:
-        """End all that runs, at once."""
+        """End all that runs, at once. Raises what has touched this computer and nobody has been told of."""
         self._fleet.close()
+        self._fence.down()
+        self._raise_caught()
 
     def _mark(self, words: str, device: str = "") -> None:
         self.marks.append(Mark(self.now, device, words))
+
+    def _two(self, one: str, other: str) -> tuple[str, str]:
+        if one == other:
+            raise MissionTestError(f"nothing lies between {one} and itself; name two hosts")
+        return self._host(one), self._host(other)
 
     def _host(self, name: str) -> str:
         if name not in self._fleet.computers:

@@ -4,12 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from itertools import pairwise
+from typing import NamedTuple
 
-from lfield.bytecode.program import Program
+from lfield.bytecode.opcodes import BY_CODE
+from lfield.bytecode.program import MethodRecord, Program
 from lfield.errors import MissionTestError
 from lfield.simulate.fleet import Life
 from lfield.testing.mission.fakes import FakeDevice
+from lfield.vm.contract import SPENT
+from lfield.vm.reference.registers import LEAVE, Registers, Step
 from lfield.wire.coordinators import Transfer
 
 #: Seconds between two points of a track.
@@ -48,13 +52,31 @@ class Hops:
         coordinators.arrived = seen  # type: ignore[method-assign]
 
 
+@dataclass(slots=True)
+class _Stop:
+    """What is to happen at a line: whether somebody has come there, and whether it is done."""
+
+    places: list[int]
+    action: Callable[[], None]
+    reached: bool = False
+    over: bool = False
+
+    def happen(self) -> None:
+        self.over = True
+        self.action()
+
+
 class Lines:
-    """What is to happen when an agent comes to a line, once each. `later` does it when the moment is over."""
+    """What is to happen when an agent comes to a line, once each. `later` does it when the moment is over.
+
+    Whoever comes there stands before the line until it is done, and its host with it. So it is also when a
+    computer is switched off at a line that never waits.
+    """
 
     def __init__(self, program: Program, later: Callable[[float, Callable[[], None]], None]) -> None:
         self._program, self._later = program, later
         self._lives: list[Life] = []
-        self._waiting: list[tuple[list[int], list[Callable[[], None]]]] = []
+        self._stops: list[_Stop] = []
 
     def when(self, line: str, action: Callable[[], None]) -> None:
         """When anybody comes to `mission.L:42`, do this. Raises MissionTestError where no code is."""
@@ -62,44 +84,54 @@ class Lines:
         places = _places(self._program, file, int(number)) if number.isdecimal() else []
         if not places:
             raise MissionTestError(f"'{line}' is no line of the mission with code; write it as mission.L:42")
-        self._waiting.append((places, [action]))
+        self._stops.append(_Stop(places, action))
         for life in self._lives:
-            self._stop_at(life, *self._waiting[-1])
+            self._stop_in(life, self._stops[-1])
 
     def watch(self, life: Life) -> None:
         """A host has begun: its machine stops at the same lines."""
         self._lives.append(life)
-        for places, actions in self._waiting:
-            self._stop_at(life, places, actions)
+        for stop in self._stops:
+            self._stop_in(life, stop)
 
-    def _stop_at(self, life: Life, places: list[int], actions: list[Callable[[], None]]) -> None:
-        steps: list[Any] = life.core.machine.engine.prepared.steps
-        for place in places:
-            steps[place] = _stopping(steps[place], actions, self._later)
+    def _stop_in(self, life: Life, stop: _Stop) -> None:
+        steps = life.core.machine.engine.prepared.steps
+        for place in stop.places:
+            steps[place] = self._stopping(life, stop, steps[place])
 
+    def _stopping(self, life: Life, stop: _Stop, step: Step) -> Step:
+        def stopping(registers: Registers) -> int:
+            if stop.over:
+                return step(registers)
+            if not stop.reached:
+                stop.reached = True
+                self._later(0.0, stop.happen)
+            life.process.loop.hold()
+            registers.exit = SPENT
+            return LEAVE
 
-def _stopping(
-    step: Callable[[Any], int],
-    actions: list[Callable[[], None]],
-    later: Callable[[float, Callable[[], None]], None],
-) -> Callable[[Any], int]:
-    def stop(registers: Any) -> int:
-        while actions:
-            later(0.0, actions.pop())
-        return step(registers)
-
-    return stop
+        return stopping
 
 
 def _places(program: Program, file: str, number: int) -> list[int]:
-    """The instructions that begin a line."""
-    return [
-        at
-        for method in program.debug.methods
-        if program.debug.sources[method.source].name.rpartition("/")[2] == file.rpartition("/")[2]
-        for at, line in method.lines
-        if line == number
-    ]
+    """The instructions by which one can come to a line: where it begins, and what is jumped to in it."""
+    name = file.rpartition("/")[2]
+    found = []
+    for record, method in zip(program.core.methods, program.debug.methods, strict=True):
+        if program.debug.sources[method.source].name.rpartition("/")[2] != name:
+            continue
+        entered = _targets(program, record)
+        for (first, line), (end, _) in pairwise([*method.lines, (record.end, 0)]):
+            if line == number:
+                found += [at for at in range(first, end) if at == first or at in entered]
+    return found
+
+
+def _targets(program: Program, method: MethodRecord) -> set[int]:
+    """The instructions that a method jumps to, or where it catches."""
+    quads = program.quads[method.entry : method.end]
+    jumps = {quad.a for quad in quads if BY_CODE[quad.op].name in ("jmp", "bnz", "bz")}
+    return jumps | {handler.target for handler in method.handlers}
 
 
 class Point(NamedTuple):

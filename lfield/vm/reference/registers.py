@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 
 from lfield.vm.contract import Exit, Limits, Reading, Trap
 from lfield.vm.memory.block import Block
@@ -21,6 +21,7 @@ class Registers:
         "class_names",
         "exit",
         "frame",
+        "instructions",
         "limits",
         "now",
         "others",
@@ -42,6 +43,8 @@ class Registers:
     #: The id of the running thread: the owner of a monitor it takes.
     thread: int
     exit: Exit
+    #: One for each instruction that may be done yet.
+    instructions: Iterator[int]
     limits: Limits
     class_names: list[str]
     #: How many of the first classes are built in.

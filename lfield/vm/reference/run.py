@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
+from operator import length_hint
 
 from lfield.bytecode.program import Program
 from lfield.vm.contract import SPENT, Exit, Limits, NoRoom, Reading, Thrown, Trap
@@ -45,6 +46,11 @@ class Engine:
         """Whether the last run has read what is beyond the block."""
         return self._registers.asked
 
+    @property
+    def unused(self) -> int:
+        """How many instructions of its budget the last run has not used."""
+        return length_hint(self._registers.instructions)
+
     def run(
         self,
         block: Block,
@@ -68,11 +74,11 @@ class Engine:
         m.thread = w[thread + THREAD_ID]
         m.pc = w[thread + THREAD_PC]
         m.exit = SPENT
-        instructions = iter(range(budget))
+        m.instructions = iter(range(budget))
         going = True
         while going:
             try:
-                self._go(m, instructions)
+                self._go(m)
                 going = False
             except (Trap, Raised, Full, ValueError, ArithmeticError) as error:
                 going = self._recover(m, error)
@@ -80,11 +86,11 @@ class Engine:
         w[thread + THREAD_PC] = m.pc
         return m.exit
 
-    def _go(self, m: Registers, instructions: Iterator[int]) -> None:
+    def _go(self, m: Registers) -> None:
         """Take steps until one leaves or the instructions are used up; `m.pc` is where it came to."""
         steps = self.prepared.steps
         pc = m.pc
-        for _ in instructions:
+        for _ in m.instructions:
             m.pc = pc
             pc = steps[pc](m)
             if pc == LEAVE:

@@ -1,7 +1,7 @@
-"""How fast the tests of missions are: the seconds of an example's mission against those that it takes.
+"""How fast the tests of missions are: the seconds of an example's mission against those of the processor.
 
 Real hosts, guards, drivers and fakes run in one process on virtual time; a ratio of 0.03 is 33 seconds of the
-mission in one.
+mission in one of a processor. What else the computer does counts for nothing.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ def seconds(number: int) -> Opener:
 
 
 FIGURE = Figure(
-    "A mission's seconds, and those of its test on virtual time",
+    "A mission's seconds, and the processor's of its test on virtual time",
     {MISSION: seconds(0), TEST: seconds(1)},
     base=(MISSION,),
     rounds=3,

@@ -46,6 +46,36 @@ def test_a_process_that_never_waits_lets_time_go_on() -> None:
     assert 100 < timeline.events < 1000
 
 
+def test_what_a_process_computes_takes_time_in_which_nothing_else_happens_to_it() -> None:
+    timeline = Timeline()
+    machine = Machine("m", timeline, random.Random(1))
+    computer = Computer(machine, Network(timeline, {"m": machine}, random.Random(2)), {})
+    one, other = computer.start().loop, computer.start().loop
+    seen: list[tuple[str, float]] = []
+
+    def note(what: str) -> None:
+        seen.append((what, timeline.now))
+
+    def computes(seconds: float) -> None:
+        one.compute(seconds)
+        one.call_soon(note, "later")
+
+    one.enter(lambda: computes(0.5))
+    one.enter(lambda: note("came"))
+    one.freeze()
+    one.thaw()
+    other.enter(lambda: note("beside"))
+    timeline.run(1.0)
+    assert seen == [("beside", 0.0), ("later", 0.5), ("came", 0.5)]
+    # What is hardly anything is owed until it is something.
+    seen.clear()
+    for _ in range(3):
+        one.enter(lambda: computes(0.0004))
+    assert len(seen) == 2
+    timeline.run(1.0)
+    assert seen[-1] == ("later", pytest.approx(1.0012))
+
+
 def test_who_looks_too_early_by_less_than_a_clock_can_tell_does_not_look_for_ever() -> None:
     timeline = Timeline()
     timeline.now, timeline.most = 1e6, 100

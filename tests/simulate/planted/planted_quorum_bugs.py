@@ -109,7 +109,7 @@ QUORUM_BUGS = [
     _bug(
         an_acknowledgement_without_the_fence,
         "a host that nobody heard for a while is given a lease by those who have barred what runs there",
-        51,
+        79,
     ),
     _bug(
         no_wait_after_the_promises,
@@ -118,7 +118,7 @@ QUORUM_BUGS = [
     ),
     _bug(a_wait_that_is_shorter_than_the_lease, "what is left of a lease after the wait is too much", 12),
     _bug(the_promises_of_a_minority, "who is cut off promises itself whatever it likes", 31),
-    _bug(running_without_a_lease, "who is cut off works on while others go on", 44),
+    _bug(running_without_a_lease, "who is cut off works on while others go on", 95),
     _bug(
         fences_told_once_and_lost_with_their_link,
         "the one acknowledgement that carried the fence was lost with its link",

@@ -178,6 +178,16 @@ def test_a_stale_number_throws_before_the_portal_begins() -> None:
     assert (joined.kept, joined.book.held) == (["take r1", "drop r1 7"], {"r1": 99})
 
 
+def test_a_number_is_compared_where_nobody_has_the_resource_any_more() -> None:
+    joined = Reserving(program("reserve (r[1]) { sleep(1.0); r[1].work(1.0); }"))
+    joined.run(until=0.5)
+    joined.book.held.clear()
+    joined.machines[1].agents["r1"].reserved = False
+    joined.run()
+    assert joined.death == "ReservationLostException: r1 was reserved by pilot since"
+    assert joined.machines[1].agents["r1"].served == 0
+
+
 def test_in_a_together_it_is_the_outcome_of_that_call() -> None:
     joined = Reserving(
         program(

@@ -15,6 +15,7 @@ from lfield.vm import machine as machine_module
 from lfield.vm.contract import Limits
 from lfield.vm.inspect.decode import view
 from lfield.vm.memory import layout
+from lfield.vm.memory.block import Block
 
 BODY = """
 reserve (r) {
@@ -33,6 +34,15 @@ def waiting() -> Reserving:
     joined.run()
     joined.book.busy.clear()
     return joined
+
+
+def array_of(block: Block) -> int:
+    """Where `waiting` has what it reserves."""
+    w = block.w
+    ints = (
+        at for at in range(block.heap, block.top - 6) if w[at] & 0xFF == layout.ARRAY and w[at] >> 32 == 7
+    )
+    return next(at for at in ints if w[at + 1 : at + 7].tolist() == [0, 7, 1, 0, 2, 0])
 
 
 def test_what_it_has_is_told_wherever_it_stands() -> None:
@@ -57,6 +67,27 @@ def test_what_is_inspected_says_what_is_reserved() -> None:
     joined = waiting()
     shown = view(joined.boss[1].block, joined.program, [member.id for member in joined.team])
     assert shown.threads[0].frames[0].reserved == ("r0, by number 7",)
+
+
+def test_what_it_had_is_not_shown_behind_the_block() -> None:
+    joined = Reserving(program("reserve (r) { } sleep(5.0);"))
+    joined.run(until=1.0)
+    host, boss = joined.boss
+    shown = view(boss.block, joined.program, [member.id for member in joined.team])
+    assert shown.threads[0].frames[0].reserved == ()
+    assert joined.machines[host].held(boss) == []
+
+
+@pytest.mark.parametrize(("word", "value"), [(1, 3), (1, 4), (1, -1), (2, -7), (2, layout.COUNT_LIMIT)])
+def test_what_a_program_of_somebody_else_has_put_there_is_no_reservation(word: int, value: int) -> None:
+    joined = waiting()
+    host, boss = joined.boss
+    boss.block.w[array_of(boss.block) + word] = value
+    assert joined.machines[host].held(boss) == []
+    joined.machines[host].go(boss)
+    joined.still()
+    # It goes on with what is left; the next host would refuse its block.
+    assert (joined.death, boss.frozen) == ("", True)
 
 
 def test_a_restored_one_goes_on_taking_by_itself() -> None:
@@ -168,14 +199,7 @@ def test_what_no_coordinator_can_have_reserved_is_refused(word: int, value: int 
     machine = joined.machines[host]
     machine.pack(boss)
     machine.restore(boss.member, bytes(boss.block.image()), boss.limits)
-    w = boss.block.w
-    array = next(
-        place
-        for place in range(boss.block.heap, boss.block.top)
-        if w[place] & 0xFF == layout.ARRAY
-        and w[place] >> 32 == 7
-        and w[place + 1 : place + 7].tolist() == [0, 7, 1, 0, 2, 0]
-    )
+    w, array = boss.block.w, array_of(boss.block)
     if value is None:
         # Its last word is an array without elements.
         w[array + 6] = w[array] & 0xFFFFFFFF | 1 << 32

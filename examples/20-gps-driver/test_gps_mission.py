@@ -1,0 +1,69 @@
+"""How far a boat has gone, on virtual time: `lfield test examples/20-gps-driver`."""
+
+from __future__ import annotations
+
+import itertools
+import math
+import re
+
+import pytest
+
+#: Metres a second at which the fake goes round.
+SPEED = 2.0
+
+
+def told(team):
+    """What the surveyor has found: metres, and of how many places."""
+    (line,) = (line.text for line in team.log if " m over " in line.text)
+    way, places = re.search(r"([\d.]+) m over (\d+) places", line).groups()
+    return float(way), int(places)
+
+
+def test_the_way_of_the_boat_is_measured(lfield_mission):
+    team = lfield_mission("mission.dL")
+    team.run(until_done=True)
+    assert team.ended == {"surveyor": "done"}
+    way, places = told(team)
+    assert way == pytest.approx(20.0 * SPEED, abs=1.5)
+    assert places == 21
+    # One hop: the portals of a receiver are called where it is.
+    assert [hop.target for hop in team.hops] == ["afloat"]
+
+
+def test_it_goes_as_its_fake_says(lfield_mission):
+    team = lfield_mission("mission.dL")
+    team.run(until_done=True)
+    track = [point for point in team.tracks["boat.gps"] if point.at > 1.0]
+    gone = sum(math.dist(a[1:3], b[1:3]) for a, b in itertools.pairwise(track))
+    assert gone == pytest.approx(SPEED * (track[-1].at - track[0].at), rel=0.02)
+    asked = [call.result for call in team.calls if call.portal == "latitude"]
+    north = (max(asked) - min(asked)) * 111_320.0
+    assert north == pytest.approx(max(p.north for p in track) - min(p.north for p in track), abs=2.0)
+
+
+def test_without_a_fix_the_boat_is_nowhere_and_what_is_missing_is_a_straight_line(lfield_mission):
+    team = lfield_mission("mission.dL")
+    team.at(8.0, lambda: team.fake("boat.gps").set("no_fix=true"))
+    team.at(14.0, lambda: team.fake("boat.gps").set("no_fix=false"))
+    team.run(until_done=True)
+    way, places = told(team)
+    # A place is told for 2.5 s after it was true.
+    lost = team.said("not known where it is")
+    assert 2 <= lost <= 5
+    assert places == 21 - lost
+    assert 35.0 < way < 20.0 * SPEED
+
+
+def test_without_satellites_nobody_sets_out(lfield_mission):
+    team = lfield_mission("mission.dL", fakes={"boat.gps": ["no_fix=true"]})
+    team.run(until_done=True)
+    assert team.ended == {"surveyor": "died"}
+    assert team.said("no fix within 10 s")
+    assert 10.0 < team.now < 20.0
+
+
+@pytest.mark.parametrize("fault", ["noise=0.02", "half=0.3"])
+def test_damaged_sentences_make_no_leaps(lfield_mission, fault):
+    team = lfield_mission("mission.dL", fakes={"boat.gps": [fault]})
+    team.run(until_done=True)
+    assert told(team)[0] == pytest.approx(20.0 * SPEED, abs=3.0)

@@ -1,0 +1,167 @@
+"""What a test may not ask of a team is one sentence, whatever it is; and so is what foreign code breaks."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+from unittest.mock import Mock
+
+import pytest
+
+import lfield_sim.mavlink
+from lfield.errors import MissionTestError
+from lfield.testing.mission.team import Team
+
+FLIGHT = Path(__file__).parents[2] / "examples" / "01-first-flight" / "mission.dL"
+PUMPS = """
+resource Pump {
+    init(string[] arg) { }
+    portal flow(int litres) emit int { return litres; }
+}
+coordinator Boss {
+    init(string[] arg) { print("got " + i2s(findPump("pump").flow(3))); sleep(60.0); }
+}
+"""
+
+
+@pytest.fixture
+def pumps(tmp_path):
+    """Makes a team of a pump, and of a boss that calls it once."""
+    (tmp_path / "pumps.L").write_text(PUMPS)
+    (tmp_path / "pumps.dL").write_text("//Pump:pump@alpha\n//Boss:boss@bravo\n")
+    teams = []
+
+    def made(**options: object) -> Team:
+        teams.append(Team(tmp_path / "pumps.dL", **options))
+        return teams[-1]
+
+    yield made
+    for team in teams:
+        team.close()
+
+
+@pytest.mark.parametrize(
+    ("ask", "told"),
+    [
+        (lambda team: team.run(-1), "run(...): -1 is no time; give seconds from 0 on"),
+        (lambda team: team.run(math.nan), "run(...): nan is no time"),
+        (lambda team: team.run(math.inf), "run(...): inf is no time"),
+        (lambda team: team.run("1"), "run(...): '1' is no time"),
+        (lambda team: team.run(), "run() takes one of these: seconds, until=..., until_done=True"),
+        (lambda team: team.run(until=None), "run() takes one of these"),
+        (lambda team: team.run(1.0, until_done=True), "run() takes one of these"),
+        (lambda team: team.run(until=""), "run(until=''): give words that somebody will say"),
+        (lambda team: team.run(until=5), "run(until=5): give words"),
+        (lambda team: team.run(until_done=True, at_most=math.nan), "run(at_most=...): nan is no time"),
+        (lambda team: team.at(math.nan, print), "at(nan, ...): nan is no time"),
+        (lambda team: team.at(-1, print), "at(-1, ...): -1 is no time"),
+        (lambda team: team.at(1.0, "crash"), "at(1.0, ...): 'crash' is nothing to do; give a function"),
+        (lambda team: team.when("pumps.L:7", None), "when('pumps.L:7', ...): None is nothing to do"),
+        (lambda team: team.cut("alpha", "alpha"), "nothing lies between alpha and itself"),
+        (lambda team: team.stop("nobody"), "there is no host 'nobody'; there are: alpha, bravo"),
+    ],
+)
+def test_what_cannot_be_asked_of_a_team_is_told(pumps, ask, told):
+    team = pumps()
+    with pytest.raises(MissionTestError) as caught:
+        ask(team)
+    assert str(caught.value).startswith(told)
+    team.run(until="got 3")
+
+
+@pytest.mark.parametrize(
+    ("options", "told"),
+    [
+        ({"seed": None}, "seed=None: give a whole number"),
+        ({"seed": 1.5}, "seed=1.5: give a whole number"),
+        ({"doubles": "x"}, "doubles='x': give a dict, as in doubles={\"pump\": Pump()}"),
+        ({"doubles": None}, "doubles=None: give a dict"),
+        ({"doubles": {"pump": None}}, "the double of pump is None: give an object with its portals"),
+        ({"fakes": "battery=0.3"}, "fakes='battery=0.3': give a dict, as in fakes={"),
+        ({"fakes": None}, "fakes=None: give a dict"),
+        ({"fakes": {"pump.m": "battery=0.3"}}, "fakes: the faults of pump.m are 'battery=0.3'; give a list"),
+        ({"fakes": {"pump.m": [5]}}, "fakes: the faults of pump.m are [5]; give a list of texts"),
+    ],
+)
+def test_a_team_that_cannot_be_made_is_told(pumps, options, told):
+    with pytest.raises(MissionTestError) as caught:
+        pumps(**options)
+    assert str(caught.value).startswith(told)
+
+
+def test_a_fault_is_a_text(lfield_mission):
+    team = lfield_mission(FLIGHT)
+    for faults in ((5,), (), (["battery=0.2"],)):
+        with pytest.raises(MissionTestError, match=r"lead\.fc: set\(\.\.\.\): give faults as texts"):
+            team.fake("lead.fc").set(*faults)
+
+
+def test_a_host_that_is_gone_can_be_killed_and_stopped(pumps):
+    team = pumps()
+    team.crash("alpha")
+    team.crash("alpha")
+    team.stop("alpha")
+    team.stop()
+    team.power_off("alpha")
+    team.run(1.0)
+    assert [mark.words for mark in team.marks] == ["alpha is killed", "alpha is switched off"]
+
+
+@pytest.mark.parametrize("ways", ["double", "at", "until"])
+def test_nobody_runs_the_team_within_a_run(pumps, ways):
+    def again(litres: int = 0) -> int:
+        team.run(1.0)
+        return litres
+
+    team = pumps(doubles={"pump": SimpleNamespace(flow=again)} if ways == "double" else {})
+    if ways == "at":
+        team.at(0.0, again)
+    with pytest.raises(MissionTestError, match="time goes on already: a double, an action or a condition"):
+        team.run(until=again if ways == "until" else "got 3")
+
+
+def test_a_mock_is_a_double_as_any_other(pumps):
+    pump = Mock(spec=["flow"])
+    pump.flow.return_value = 8
+    pumps(doubles={"pump": pump}).run(until="got 8")
+    pump.flow.assert_called_once_with(3)
+    with pytest.raises(MissionTestError, match="has a method flwo, and Pump has no such portal"):
+        pumps(doubles={"pump": Mock(spec=["flwo"])})
+
+
+def test_who_wants_to_end_python_ends_the_test_with_a_sentence(pumps, lfield_mission, monkeypatch):
+    team = pumps()
+    team.at(0.1, lambda: sys.exit(3))
+    with pytest.raises(MissionTestError, match=r"wants to end Python by sys.exit\(3\)"):
+        team.run(1.0)
+
+    async def leaves(driver: object) -> None:
+        sys.exit("no licence")
+
+    monkeypatch.setattr("lfield_mavlink.driver.MavlinkDriver._open", leaves)
+    with pytest.raises(MissionTestError, match=r"wants to end Python by sys.exit\('no licence'\)"):
+        lfield_mission(FLIGHT).run(5.0)
+
+
+@pytest.mark.parametrize("early", [True, False])
+@pytest.mark.parametrize("cause", [RuntimeError("no water"), ValueError("no water")])
+def test_a_fake_that_fails_says_of_what(lfield_mission, monkeypatch, cause, early):
+    kind = type(lfield_sim.mavlink.SIM)
+    serve = kind.serve
+
+    async def fails(sim: object, args: object) -> None:
+        async with asyncio.TaskGroup() as tasks:
+            serving = tasks.create_task(serve(sim, args))
+            await asyncio.sleep(0.0 if early else 2.0)
+            serving.cancel()
+        raise cause
+
+    monkeypatch.setattr(kind, "serve", fails)
+    with pytest.raises(
+        (MissionTestError, pytest.fail.Exception), match=r"(lead|wing)\.fc.*: no water"
+    ) as caught:
+        lfield_mission(FLIGHT).run(5.0)
+    assert early or caught.value.__cause__ is cause

@@ -1,0 +1,222 @@
+"""A test of a mission touches nothing of this computer, whoever tries and by whichever way."""
+
+from __future__ import annotations
+
+import asyncio
+import ctypes
+import multiprocessing
+import os
+import socket
+import subprocess
+import threading
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from lfield.errors import RealEndpoint
+from lfield.testing.mission.team import Team
+
+PROGRAM = "coordinator Boss { init(string[] arg) { while (true) sleep(1.0); } }"
+
+
+@pytest.fixture
+def still(tmp_path, lfield_mission) -> Team:
+    """A team that does nothing."""
+    (tmp_path / "still.L").write_text(PROGRAM)
+    (tmp_path / "still.dL").write_text("//Boss:boss@alpha\n")
+    team: Team = lfield_mission(tmp_path / "still.dL")
+    return team
+
+
+@pytest.fixture
+def connected():
+    """A socket that was connected before there was a team."""
+    with socket.socket() as door:
+        door.bind(("127.0.0.1", 0))
+        door.listen()
+        with socket.create_connection(door.getsockname()) as one:
+            yield one
+
+
+def open_device(path: str) -> None:
+    Path(path).open("rb").close()
+
+
+def by_a_link() -> None:
+    os.symlink("/dev/tty1", "serial")
+    open_device("serial")
+
+
+def from_a_folder() -> None:
+    root = os.open("/", os.O_RDONLY)
+    os.open("dev/tty1", os.O_RDONLY, dir_fd=root)
+
+
+def listening() -> None:
+    with socket.socket() as door:
+        door.listen()
+
+
+def bound() -> None:
+    with socket.socket() as door:
+        door.bind(("127.0.0.1", 0))
+
+
+def by_a_process_of_python() -> None:
+    multiprocessing.get_context("spawn").Process(target=print).start()
+
+
+def by_a_fork_of_python() -> None:
+    multiprocessing.get_context("fork").Process(target=print).start()
+
+
+DEEDS: dict[str, tuple[Callable[[], object], str]] = {
+    "name": (lambda: socket.create_connection(("127.0.0.1", 9), timeout=0.1), "reach 127.0.0.1:9"),
+    "host": (lambda: socket.gethostbyname("localhost"), "reach localhost"),
+    "address": (lambda: socket.gethostbyaddr("127.0.0.1"), "reach 127.0.0.1"),
+    "listen": (listening, "use a socket"),
+    "bind": (bound, "listen at"),
+    "device": (lambda: os.open("/dev/ttyS0", os.O_RDONLY), "open /dev/ttyS0"),
+    "none": (lambda: open_device("/dev/ttyUSB77"), "open /dev/ttyUSB77"),
+    "slashes": (lambda: os.open("//dev//tty1", os.O_RDONLY), "open //dev//tty1"),
+    "bytes": (lambda: os.open(b"/dev/tty1", os.O_RDONLY), "open /dev/tty1"),
+    "root": (lambda: os.open("/proc/self/root/dev/tty1", os.O_RDONLY), "open /proc/self/root/dev/tty1"),
+    "link": (by_a_link, "open serial"),
+    "folder": (from_a_folder, "open dev/tty1"),
+    "fork": (os.fork, "start a process"),
+    "system": (lambda: os.system("true"), "start "),
+    "spawn": (lambda: os.spawnv(os.P_WAIT, "/bin/true", ["true"]), "start a process"),
+    "posix_spawn": (lambda: os.posix_spawn("/bin/true", ["true"], {}), "start /bin/true"),
+    "run": (lambda: subprocess.run(["/bin/true"]), "start /bin/true"),
+    "python": (by_a_process_of_python, "start "),
+    "python_fork": (by_a_fork_of_python, "start a process"),
+    "library": (lambda: ctypes.CDLL("libm.so.6"), "load libm.so.6"),
+    "itself": (lambda: ctypes.PyDLL(None).system, ".* by ctypes"),
+}
+
+
+@pytest.mark.parametrize("name", DEEDS)
+def test_nothing_real_is_touched_also_by_who_says_nothing_of_it(still, name, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    deed, said = DEEDS[name]
+    came = []
+
+    def silently() -> None:
+        try:
+            came.append(deed())
+        except Exception:
+            return
+
+    still.at(0.5, silently)
+    with pytest.raises(RealEndpoint, match=f"it wanted to {said}"):
+        still.run(1.0)
+    assert not came
+
+
+def test_what_was_connected_before_is_real_too(connected, still):
+    for deed in (lambda: connected.send(b"x"), lambda: connected.sendall(b"x"), lambda: connected.recv(1)):
+        still.at(still.now + 0.5, deed)
+        with pytest.raises(RealEndpoint, match="it wanted to use a socket"):
+            still.run(1.0)
+    for deed in (lambda: connected.sendto(b"x", ("", 1)), lambda: connected.sendmsg([b"x"])):
+        still.at(still.now + 0.5, deed)
+        with pytest.raises(RealEndpoint, match="it wanted to send to"):
+            still.run(1.0)
+
+
+@pytest.mark.parametrize(
+    ("deed", "said"),
+    [
+        (lambda: asyncio.open_connection("127.0.0.1", 9), "connect to 127.0.0.1:9"),
+        (lambda: asyncio.open_unix_connection("/run/nobody"), "connect to a Unix socket"),
+        (lambda: asyncio.start_unix_server(print, "/run/nobody"), "listen at a Unix socket"),
+        (lambda: asyncio.create_subprocess_exec("true"), "start true"),
+        (lambda: asyncio.create_subprocess_shell("true"), "run a command in a shell"),
+        (lambda: asyncio.get_running_loop().sock_recv(None, 1), "use a socket"),
+        (
+            lambda: asyncio.get_running_loop().create_connection(asyncio.Protocol, sock=object()),
+            "use a socket",
+        ),
+        (lambda: asyncio.get_running_loop().add_reader(0, print), "wait for a descriptor"),
+        (
+            lambda: asyncio.get_running_loop().create_datagram_endpoint(asyncio.DatagramProtocol),
+            "open a datagram socket",
+        ),
+    ],
+)
+def test_nor_by_the_loop_that_a_driver_runs_in(still, deed, said):
+    async def silently() -> None:
+        try:
+            await deed()
+        except Exception:
+            return
+
+    (life,) = still._fleet.lives.values()
+    still.at(0.5, lambda: life.process.loop.enter(lambda: life.process.loop.create_task(silently())))
+    with pytest.raises(RealEndpoint, match=f"it wanted to {said}"):
+        still.run(1.0)
+
+
+def test_nor_by_the_test_itself_its_conditions_and_its_threads(still):
+    with pytest.raises(RealEndpoint, match="it wanted to listen at"):
+        bound()
+    # It has been told, and goes on.
+    still.run(1.0)
+    with pytest.raises(RealEndpoint, match="it wanted to reach"):
+        still.run(until=lambda: bool(socket.gethostbyname("localhost")))
+    told: list[str] = []
+
+    def reach_out() -> None:
+        try:
+            socket.gethostbyname("localhost")
+        except RealEndpoint as error:
+            told.append(str(error))
+
+    for end in (lambda: still.run(1.0), still.close):
+        thread = threading.Thread(target=reach_out)
+        thread.start()
+        thread.join()
+        with pytest.raises(RealEndpoint, match="it wanted to reach"):
+            end()
+    assert len(told) == 2
+
+
+def test_a_thread_of_somebody_else_is_none_of_its_business(tmp_path, lfield_mission):
+    begin, done = threading.Event(), threading.Event()
+    names = []
+
+    def debugger() -> None:
+        begin.wait()
+        names.append(socket.gethostbyname("localhost"))
+        done.set()
+
+    threading.Thread(target=debugger, daemon=True).start()
+    (tmp_path / "still.L").write_text(PROGRAM)
+    (tmp_path / "still.dL").write_text("//Boss:boss@alpha\n")
+    team = lfield_mission(tmp_path / "still.dL")
+    begin.set()
+    assert done.wait(10.0)
+    team.run(1.0)
+    assert names
+
+
+def test_what_leads_nowhere_is_free_and_so_is_a_pair_of_sockets(still):
+    for path in ("/dev/null", "/dev/urandom", "/dev/zero"):
+        Path(path).open("rb").close()
+    one, other = socket.socketpair()
+    one.sendall(b"x")
+    assert other.recv(1) == b"x"
+    one.close()
+    other.close()
+    asyncio.run(asyncio.sleep(0))
+
+
+def test_without_a_team_a_test_may_do_what_it_likes(connected, still):
+    send, opened = socket.socket.send, os.open
+    still.close()
+    assert socket.socket.send is not send
+    assert os.open is not opened
+    assert "send" not in vars(socket.socket)
+    connected.send(b"x")
+    bound()

@@ -1,0 +1,87 @@
+"""Where every agent stands and what it waits for, when a mission does not end."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from lfield.errors import Stuck
+from lfield.testing.mission.team import Team
+
+PROGRAM = """
+resource Post {
+    init(string[] arg) { }
+    portal synchronized locked() { while (true) sleep(1.0); }
+    portal slow() { while (true) sleep(1.0); }
+    portal work() { print("works"); sleep(2.0); }
+}
+coordinator Boss {
+    init(string[] arg) {
+        Post one = findPost("one");
+        Post two = findPost("two");
+        //body
+    }
+}
+coordinator Other {
+    init(string[] arg) { sleep(1.0); findPost("one").locked(); }
+}
+"""
+AGENTS = "//Post:one@alpha\n//Post:two@bravo\n//Boss:boss@alpha\n"
+
+
+@pytest.fixture
+def stuck_in(tmp_path: Path):
+    """What is told of a mission whose boss does this, and of more agents, after some seconds."""
+    teams = []
+
+    def told(body: str, *, more: str = "", disturb=lambda team: None) -> list[str]:
+        (tmp_path / "post.L").write_text(PROGRAM.replace("//body", body))
+        (tmp_path / "post.dL").write_text(AGENTS + more)
+        team = Team(tmp_path / "post.dL")
+        teams.append(team)
+        disturb(team)
+        with pytest.raises(Stuck) as stuck:
+            team.run(until_done=True, at_most=10.0)
+        return list(stuck.value.standing)
+
+    yield told
+    for team in teams:
+        team.close()
+
+
+def of(agent: str, lines: list[str]) -> str:
+    (line,) = (line for line in lines if line.startswith(agent))
+    return line
+
+
+def test_the_calls_of_a_together_are_named(stuck_in):
+    lines = stuck_in("together { one.slow(); two.slow(); }")
+    assert "one.slow()" in of("boss", lines)
+    assert "two.slow()" in of("boss", lines)
+    lines = stuck_in("together { one.slow(); one.work(); }")
+    assert of("boss", lines) == "boss on alpha: waits for one.slow() at Boss.init (post.L:12)"
+
+
+def test_who_holds_the_lock_that_is_waited_for_is_named(stuck_in):
+    lines = stuck_in("one.locked();", more="//Other:other@bravo\n")
+    assert "other on alpha: waits for one.locked() at Other.init (post.L:16)" in lines
+    assert (
+        "one on alpha: waits for the lock that boss holds at Post.locked (post.L:4), "
+        "at Post.locked (post.L:4)" in lines
+    )
+
+
+def test_a_coordinator_that_is_nowhere_is_named(stuck_in):
+    lines = stuck_in("two.work();", disturb=lambda team: team.when("post.L:12", lambda: team.crash("alpha")))
+    assert of("boss", lines) == "boss is nowhere: it begins on alpha, which does not run"
+    lines = stuck_in("two.slow();", disturb=lambda team: team.at(3.0, lambda: team.crash("bravo")))
+    assert of("boss", lines) == "boss is nowhere: it was on bravo, which does not run"
+    lines = stuck_in("sleep(100.0);", more="//Other:other@bravo\n", disturb=lambda team: team.crash("bravo"))
+    assert of("other", lines) == "other is nowhere: it begins on bravo, which does not run"
+    assert of("boss", lines).startswith("boss on alpha: sleeping")
+
+
+def test_a_coordinator_that_has_ended_is_told_as_that(stuck_in):
+    lines = stuck_in("one.work();", more="//Other:other@bravo\n")
+    assert of("boss", lines) == "boss: done"
