@@ -16,12 +16,14 @@ from lfield.host.effects import CHANGED, Call, Complain, Effect, Nearby, Reach, 
 from lfield.host.inits import Inits
 from lfield.host.offers import Offers
 from lfield.host.team import words
+from lfield.host.team.absent import Absent
 from lfield.host.team.beginning import Beginning
 from lfield.host.team.begun import BegunPages
 from lfield.host.team.commands import Commands
 from lfield.host.team.coordinators import Coordinators
 from lfield.host.team.leases import Leases
 from lfield.host.team.policy import Policies
+from lfield.host.team.reserving import Reserving
 from lfield.host.team.world import HostWorld
 from lfield.journal.pages import Key, Page
 from lfield.manifest import DeviceValue
@@ -37,6 +39,7 @@ from lfield.wire.coordinators import Ended, EndedAck, Known, Transfer
 from lfield.wire.messages import Control, Heard, Hello, Report, Room
 from lfield.wire.observing import Recover, Recovered
 from lfield.wire.quorum import QuorumMessage
+from lfield.wire.reservations import ReservationMessage
 
 
 class HostCore:
@@ -66,7 +69,7 @@ class HostCore:
         self._effects: list[Effect] = []
         #: What the machine asks this host.
         self.world = HostWorld(self.team, self._out, self._reach)
-        self.machine = Machine(
+        self.machine = machine = Machine(
             mission.program,
             self.team.members,
             self.here,
@@ -76,35 +79,29 @@ class HostCore:
             dice,
             mission.fenced,
         )
-        self.coordinators = Coordinators(
-            mission, self._hello([]), self.machine, clock, self._out, unreachable_after, pages, times or {}
+        own = self._hello([])
+        self.coordinators = team = Coordinators(
+            mission, own, machine, clock, self._out, unreachable_after, pages, times or {}
         )
-        self.mobility = self.coordinators.mobility
-        self.directory = TeamDirectory(mission, name, incarnation, self.machine, nearby, clock)
-        self._leases = Leases(
-            mission, self._hello([]), self.coordinators, self.machine, clock, self._out, pages, dice
-        )
-        self.coordinators.barred = self._leases.barred
-        self._begun = BegunPages(
-            self._hello([]).mission,
-            self.coordinators,
-            self._leases,
-            self.machine,
-            clock,
-            pages,
-            keeps=bool(memory),
-        )
-        self._inits = Inits(self.machine.agents, self._say)
-        self._policies = Policies(mission.devices_of(name))
-        self._commands = Commands(self.machine, nearby, self._leases, self._policies, clock, self._out)
-        offers = Offers(self.directory, mission)
-        self.world.join(self.coordinators, self._leases, self._begun, self._commands, offers)
+        self.mobility = team.mobility
+        self.directory = TeamDirectory(mission, name, incarnation, machine, nearby, clock)
+        self._leases = leases = Leases(mission, own, team, machine, clock, self._out, pages, dice)
+        team.barred = leases.barred
+        self._begun = BegunPages(own.mission, team, leases, machine, clock, pages, keeps=bool(memory))
         self.hearsay = Hearsay(self.team.hosts, self.here, incarnation, clock.monotonic(), neighbours)
+        self.reserving = Reserving(
+            mission, own, team, leases, machine, clock, self._out, self.hearsay.is_linked, pages
+        )
+        self.directory.reserved = self.reserving.by
+        self._inits = Inits(machine.agents, self._say)
+        self._policies = Policies(mission.devices_of(name))
+        self._commands = Commands(machine, nearby, leases, self._policies, clock, self._out)
+        offers = Offers(self.directory, mission)
+        absent = Absent(nearby, self.hearsay, clock, unreachable_after)
+        self.world.join(team, leases, self._begun, self.reserving, self._commands, offers, absent)
         self._own = [member.id for member in self.team.on(self.here) if member.kind == "coordinator"]
         others = [host for host in self.team.hosts if host != name]
-        self._beginning = Beginning(
-            self._own, others, self.coordinators, self._leases, self._say, kept=bool(memory)
-        )
+        self._beginning = Beginning(self._own, others, team, leases, self._say, kept=bool(memory))
 
     # --- out ------------------------------------------------------------------------------------------
 
@@ -139,6 +136,7 @@ class HostCore:
             self._memory,
             str(self.mission.recovery) if self.mission.fenced else "",
             str(self.mission.bindings.frames.origin or ""),
+            self.mission.bindings.reservations.lease if self.mission.program.has_reserves else 0.0,
         )
 
     # --- time -----------------------------------------------------------------------------------------
@@ -159,9 +157,13 @@ class HostCore:
         if self._policies.due is not None and now >= self._policies.due:
             self._effects += self._policies.look(self.name, self.mobility.knowledge(), self.hearsay, now)
         self._begun.look()
+        self.reserving.look()
         pause = None if self.coordinators.halted or self.coordinators.paused else self.machine.run()
         self.coordinators.answer()
         self._inits.look(now)
+        # A portal that has ended may be what somebody waits for who wants to reserve its resource.
+        if self.reserving.look():
+            pause = 0.0
         dues = (
             self.coordinators.due,
             self.directory.due,
@@ -169,6 +171,7 @@ class HostCore:
             self._leases.due,
             self._policies.due,
             self._inits.due,
+            self.reserving.due,
         )
         left = [max(0.0, due - now) for due in dues if due is not None]
         return min([*left, *([] if pause is None else [pause])], default=None)
@@ -184,6 +187,7 @@ class HostCore:
             if member.kind == "resource":
                 self.machine.start(member, self.mission.bindings.limits(member.id), 0)
         self._begun.restore()
+        self.reserving.restore()
         self.directory.open()
         self.coordinators.open()
         self._leases.begin(first=first)
@@ -230,12 +234,15 @@ class HostCore:
         """What a coordinator waits for besides its own work, in a few words; '' for nothing."""
         if not agent.frozen:
             return self._inits.waits(agent)
-        return "waits for a majority" if self._leases.is_waiting(agent) else self.coordinators.waits(agent)
+        if self._leases.is_waiting(agent):
+            return "waits for a majority"
+        return self.reserving.waits(agent) or self.coordinators.waits(agent)
 
     def not_kept(self, why: str) -> None:
         """The disk takes nothing: what waits for it goes on waiting, and is tried again."""
         self.coordinators.not_kept(why)
         self._begun.not_kept()
+        self.reserving.not_kept(why)
 
     def room(self, trouble: str) -> None:
         """Why the journal should take in nothing more, or '': whoever would send something is told."""
@@ -249,6 +256,7 @@ class HostCore:
     def pause(self, *, on: bool) -> None:
         """A person pauses the mission on this host, or lets it go on."""
         words.pause(self.coordinators, self.machine, self._clock.monotonic(), on=on)
+        self.reserving.postpone()
         self._tell_room()
 
     def stop(self, reason: str) -> None:
@@ -259,6 +267,7 @@ class HostCore:
         """All pages up to those of that batch are on the disk."""
         self.coordinators.kept(number)
         self._begun.kept(number)
+        self.reserving.kept(number)
         self._beginning.kept(number)
 
     def reaped(self, host: str) -> None:
@@ -272,7 +281,8 @@ class HostCore:
     def wanted(self) -> set[str]:
         """The hosts to have links with now: the neighbours, and whoever is waited for."""
         near = self.hearsay.wanted(self._clock.monotonic())
-        return {*near, *self._beginning.wanted, *self.mobility.wanted(), *self._leases.wanted} - {self.name}
+        needed = self.mobility.wanted() | self._leases.wanted | self.reserving.wanted
+        return {*near, *self._beginning.wanted, *needed} - {self.name}
 
     def told(self, host: str, records: list[Known]) -> None:
         """A host that was asked says what it knows of coordinators."""
@@ -304,6 +314,7 @@ class HostCore:
         if self.coordinators.room.trouble:
             self._effects.append(mobile.Send(hello.host, self.coordinators.room))
         self.coordinators.carry_out(self.mobility.linked(hello))
+        self.reserving.linked()
         self._beginning.look()
         self._effects.append(CHANGED)
 
@@ -336,6 +347,8 @@ class HostCore:
             self.hearsay.told(host, message, self._clock.monotonic())
         elif isinstance(message, QuorumMessage):
             self._leases.received(host, message)
+        elif isinstance(message, ReservationMessage):
+            self.reserving.received(message)
         elif isinstance(message, MobilityMessage):
             self.coordinators.carry_out(self.mobility.receive(host, message, self._clock.monotonic()))
             if isinstance(message, Ended | EndedAck):

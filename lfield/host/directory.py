@@ -7,10 +7,13 @@ capability of a registry nothing of all this happens.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Protocol
 
+from msgspec.structs import replace
+
 from lfield.capability.directory.directory import Directory, Links
-from lfield.capability.directory.news import News
+from lfield.capability.directory.news import News, Reserved
 from lfield.capability.model import Registry
 from lfield.capability.offer import Candidate, Fact
 from lfield.clock import Clock
@@ -64,6 +67,8 @@ class TeamDirectory:
             registry.attributes, machine.agents, fields, nearby, self._asking, clock, bound
         )
         self._linked: dict[str, None] = {}
+        #: Who has reserved an agent of this host.
+        self.reserved: Callable[[str], Reserved | None] = lambda agent: None
         #: When `tick` has something to do next, None for never.
         self.due: float | None = None
 
@@ -107,7 +112,8 @@ class TeamDirectory:
         for agent in self.directory.own_agents:
             live = self.directory.live(agent)
             self._asking.look(agent, live.values())
-            self.directory.own(agent, self._sampler.condition(agent, live))
+            condition, held = self._sampler.condition(agent, live), self.reserved(agent)
+            self.directory.own(agent, condition if held is None else replace(condition, reserved=held))
 
     def _report(self, news: News) -> Report:
         return self._reports.write(news, self._clock.monotonic())
@@ -115,6 +121,7 @@ class TeamDirectory:
     def told(self) -> list[Told]:
         """For whoever asks from outside: how every agent is now."""
         self.look()
+        self.directory.asker = ""
         return [self._told(candidate) for candidate in self.directory.everybody()]
 
     def _told(self, candidate: Candidate) -> Told:

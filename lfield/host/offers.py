@@ -31,23 +31,27 @@ class Offers:
         self._directory = directory
         self._answers = Answers(directory.registry, directory.directory, ways(mission.program), numbers)
 
-    def offers(self, capability: str, constraint: str | None) -> list[Found]:
-        """Who offers a capability and fulfils the condition, best first.
+    def offers(self, asker: str, capability: str, constraint: str | None) -> list[Found]:
+        """Who offers a capability to a coordinator and fulfils the condition, best first.
 
         Raises ConstraintError, and SearchGivenUp where nobody was found and not everything could be tried.
         """
-        self._directory.look()
+        self._look(asker)
         return self._answers.offers(capability, constraint)
 
-    def teams(self, capability: str, constraint: str | None, size: int) -> list[list[Found]]:
+    def teams(self, asker: str, capability: str, constraint: str | None, size: int) -> list[list[Found]]:
         """Teams of so many that have no agent in common, best first. Raises what `offers` does."""
-        self._directory.look()
+        self._look(asker)
         return self._answers.teams(capability, constraint, size)
 
-    def explain(self, capability: str, constraint: str | None) -> str:
+    def explain(self, asker: str, capability: str, constraint: str | None) -> str:
         """Why everybody else does not, a line each. Raises ConstraintError."""
-        self._directory.look()
+        self._look(asker)
         return self._answers.explain(capability, constraint)
+
+    def _look(self, asker: str) -> None:
+        self._directory.look()
+        self._directory.directory.asker = asker
 
 
 class Answers:

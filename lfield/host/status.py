@@ -32,6 +32,7 @@ from lfield.wire.observing import (
     JournalStatus,
     LinkStatus,
     ParkedStatus,
+    ReservedStatus,
     Status,
 )
 
@@ -76,6 +77,10 @@ def status_of(
         begun=[
             BegunStatus(call.agent, call.generation, call.resource, clip(call.portal), call.state)
             for call in core.machine.begun_calls()[:MOST_BEGUN]
+        ],
+        reserved=[
+            ReservedStatus(held.resource, *held.holder, _since(now - held.since), _since(held.until - now))
+            for held in core.reserving.held
         ],
     )
 

@@ -162,7 +162,7 @@ def forgets(entry: Entry) -> bool:
 
     Then there is no record of starts any more: without it a host hears all others before it promises anew.
     """
-    return entry.key.kind not in ("copy", "starts", "run", "paused", "stopped", "program")
+    return entry.key.kind not in ("copy", "starts", "run", "paused", "stopped", "program", "reservation")
 
 
 def lost(entry: Entry) -> str:
@@ -171,6 +171,7 @@ def lost(entry: Entry) -> str:
     words = {
         "copy": f"the copy of {name}, start {number}",
         "begun": f"call {number} that was begun here by start {str(name).replace(chr(32), ' of ', 1)}",
+        "reservation": f"who has reserved {name}",
         "starts": "the count of starts",
         "run": "whether the last run goes on",
         "paused": "whether the mission is paused here",

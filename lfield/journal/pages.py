@@ -78,6 +78,18 @@ class BegunPage(Struct, frozen=True, array_like=True, forbid_unknown_fields=True
     program: Hash = b""
 
 
+class ReservationPage(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag="reservation"):
+    """The number of the last reservation of a resource here, and which start of an agent has it.
+
+    `agent` is '' when nobody has.
+    """
+
+    resource: str
+    number: Count
+    agent: str = ""
+    generation: Count = 0
+
+
 class Starts(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag="starts"):
     """How many starts this host has made: the counter that generations come from."""
 
@@ -123,7 +135,7 @@ class ProgramPage(Struct, frozen=True, array_like=True, forbid_unknown_fields=Tr
     hosts: tuple[str, ...] = ()
 
 
-Page = CopyPage | BegunPage | Starts | Run | Paused | Stopped | Fence | ProgramPage
+Page = CopyPage | BegunPage | ReservationPage | Starts | Run | Paused | Stopped | Fence | ProgramPage
 
 _encode = msgspec.msgpack.Encoder().encode
 _decoder: msgspec.msgpack.Decoder[Page] = msgspec.msgpack.Decoder(Page)
@@ -140,6 +152,8 @@ def key_of(page: Page) -> Key:
             return Key("copy", page.agent, page.generation)
         case BegunPage():
             return begun_key(page.agent, page.generation, page.number)
+        case ReservationPage():
+            return Key("reservation", page.resource)
         case Fence():
             return Key("fence", page.agent)
         case ProgramPage():

@@ -29,6 +29,11 @@ SIM_SILENCE = 2.0
 #: How long a lease of a fenced coordinator's host may last, in seconds, and what it is unless it is chosen.
 SHORTEST_LEASE, LONGEST_LEASE, USUAL_LEASE = 0.2, 60.0, 2.0
 
+#: How long a reservation may last unheard, and what it is unless it is chosen; for how long others wait for
+#: what is reserved, at most and unless it is chosen. In seconds.
+SHORTEST_RESERVATION, LONGEST_RESERVATION, USUAL_RESERVATION = 0.5, 600.0, 6.0
+LONGEST_RESERVED_WAIT, USUAL_RESERVED_WAIT = 3600.0, 5.0
+
 #: More hosts than these do not decide that another one is lost: each of them talks to all others.
 MOST_MEMBERS = 9
 
@@ -67,6 +72,16 @@ class Recovery:
 
     def __str__(self) -> str:
         return f"a lease of {self.lease:g} s among {listed(self.members)}"
+
+
+@dataclass(frozen=True, slots=True)
+class ReservationTimes:
+    """Of `reserve`, in seconds: how long a reservation lasts when nothing is heard of its holder, and for how
+    long others wait for what is reserved; `waits` are those of single resources."""
+
+    lease: float = USUAL_RESERVATION
+    wait: float = USUAL_RESERVED_WAIT
+    waits: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,6 +128,11 @@ class Bindings:
     recovery: Recovery = field(default_factory=Recovery)
     attributes: Mapping[str, Mapping[str, Stated]] = field(default_factory=dict)
     frames: Frames = field(default_factory=Frames)
+    reservations: ReservationTimes = field(default_factory=ReservationTimes)
+
+    def reserved_wait(self, agent: str) -> float:
+        """For how many seconds others wait for a resource that somebody has reserved."""
+        return self.reservations.waits.get(agent, self.reservations.wait)
 
     def limits(self, agent: str) -> Limits:
         """The limits of an agent: its own, then the defaults of the file, then the machine's."""

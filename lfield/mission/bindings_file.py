@@ -5,6 +5,7 @@ agents:
   alpha:                                   # an agent of the deployment
     heap: 2 MiB                            # limits of this agent
     attributes: {payload: 1.2 kg}          # what is so of this robot, in the words of the registry
+    reserved_wait: 2                       # seconds that others wait for it while it is reserved
     devices:
       fc:
         driver: mavlink
@@ -24,6 +25,8 @@ hosts: {hall: {frame: {north: 12.0, east: 4.0}}}   # where its agents are in the
 silence: 0.2                               # seconds without the host before its devices go safe (fakes: 2)
 recovery: {lease: 2, members: [a, b, c]}   # of coordinators that call heartbeatInterval: who
                                            # decides that one is lost, and the seconds it may run unheard
+reservations: {lease: 6, wait: 5}          # seconds that a `reserve` lasts without a sign of its holder,
+                                           # and that others wait for what is reserved
 ```
 
 The keys of a device that every driver has are `driver`, `endpoint`, `ttl`, `safe_state`, `rest_within`,
@@ -35,6 +38,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from lfield.capability.model import Attribute
@@ -47,15 +51,21 @@ from lfield.errors import BindingError
 from lfield.guard.core import SILENCE
 from lfield.mission.bindings import (
     LONGEST_LEASE,
+    LONGEST_RESERVATION,
+    LONGEST_RESERVED_WAIT,
     MAX_HEAP,
     MIN_HEAP,
     MOST_MEMBERS,
     SHORTEST_LEASE,
+    SHORTEST_RESERVATION,
     USUAL_LEASE,
+    USUAL_RESERVATION,
+    USUAL_RESERVED_WAIT,
     Bindings,
     Frames,
     Needed,
     Recovery,
+    ReservationTimes,
     Stated,
     each_needed,
     maker_of,
@@ -204,6 +214,8 @@ class BindingsReader:
         unreachable_after = top.number("unreachable_after", 10.0, minimum=0.1, maximum=86400.0)
         silence = top.number("silence", SILENCE, minimum=0.1, maximum=10.0)
         recovery = self._recovery(top.section("recovery"), silence)
+        reservations = _reservations(top.section("reservations"))
+        waits: dict[str, float] = {}
         entries = list(top.section("agents").entries())
         # Before the devices, which have to know.
         frames = _frames(top, entries, self._homes, self._hosts, tuple(self._needed))
@@ -217,6 +229,8 @@ class BindingsReader:
                 continue
             agents[entry.key] = self._limits(fields, defaults)
             agent, placement = entry.key, frames.of(entry.key)
+            if "reserved_wait" in fields:
+                waits[agent] = _reserved_wait(fields, "reserved_wait", reservations.wait)
             if agent in self._doubled:
                 fields.node("devices")
             else:
@@ -225,7 +239,18 @@ class BindingsReader:
                 stated[agent] = values
             fields.done()
         top.done()
-        return Bindings(agents, devices, defaults, unreachable_after, silence, recovery, stated, frames)
+        reservations = replace(reservations, waits=waits)
+        return Bindings(
+            agents,
+            devices,
+            defaults,
+            unreachable_after,
+            silence,
+            recovery,
+            stated,
+            frames,
+            reservations,
+        )
 
     def _stated(self, fields: Fields) -> dict[str, Stated]:
         """What is stated of an agent, in the units of the registry."""
@@ -286,6 +311,19 @@ class BindingsReader:
             fields.report("Y112", message, node.span, "write 512 KiB or 2 MiB")
             return default
         return size
+
+
+def _reservations(fields: Fields) -> ReservationTimes:
+    lease = fields.number(
+        "lease", USUAL_RESERVATION, minimum=SHORTEST_RESERVATION, maximum=LONGEST_RESERVATION
+    )
+    wait = _reserved_wait(fields, "wait", USUAL_RESERVED_WAIT)
+    fields.done()
+    return ReservationTimes(lease, wait)
+
+
+def _reserved_wait(fields: Fields, key: str, usual: float) -> float:
+    return fields.number(key, usual, minimum=0.0, maximum=LONGEST_RESERVED_WAIT)
 
 
 def _is_empty(node: Node | None) -> bool:

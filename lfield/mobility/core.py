@@ -313,6 +313,11 @@ class Mobility:
         copy = self._copies.find(agent, generation)
         return copy is not None and copy.state in ("FROZEN", "PREPARED")
 
+    def in_doubt(self, agent: str, generation: int) -> bool:
+        """Whether nobody knows what became of a copy that was sent from here."""
+        copy = self._copies.find(agent, generation)
+        return copy is not None and bool(copy.doubt)
+
     def is_sent(self, agent: str, generation: int) -> bool:
         """Whether a start has left, may have left, or is over: a page of it says so, or is about to."""
         copy = self._copies.find(agent, generation)

@@ -72,6 +72,7 @@ class Greeting:
         self._check_memory(message)
         self._check_recovery(message)
         self._check_origin(message)
+        self._check_reservation(message)
         self.peer = message
         return message
 
@@ -163,6 +164,15 @@ class Greeting:
             self._refuse(
                 f"{self.own.host} counts places {ours} and {hello.host} {theirs}; give both the same "
                 "'frame: {origin: ...}' in their devices files"
+            )
+
+    def _check_reservation(self, hello: Hello) -> None:
+        """Who renews too seldom for others loses what it has."""
+        if "observer" not in (self.own.role, hello.role) and self.own.reservation != hello.reservation:
+            self._refuse(
+                f"reservations of {self.own.host} last {self.own.reservation:g} s unheard and those of "
+                f"{hello.host} {hello.reservation:g} s; give both the same 'reservations: {{lease: ...}}' in "
+                "their devices files"
             )
 
     def _refuse(self, reason: str) -> NoReturn:

@@ -343,14 +343,18 @@ def _rethrow(
 def of_others(scheduler: Scheduler, resource: Agent, agent: str) -> bool:
     """Whether a portal call of anybody but that coordinator is under way in a resource.
 
-    One that was taken from its caller is somebody else's: nothing is known of it any more.
+    One that was taken from its caller is somebody else's: nothing is known of it any more. What the host asks
+    is nobody's call.
     """
     if resource.ended:
         return False
     for place in threads(resource.block):
-        waits = scheduler.calls.get(number := resource.block.w[place + THREAD_CALL])
+        number = resource.block.w[place + THREAD_CALL]
+        if not number or number in scheduler.questions:
+            continue
+        waits = scheduler.calls.get(number)
         who = waits if waits is None or isinstance(waits, Begun) else waits[0]
-        if number and (who is None or who.id != agent):
+        if who is None or who.id != agent:
             return True
     return False
 

@@ -49,9 +49,9 @@ class World(Protocol):
     def take(self, agent: Agent, resource: Member, *, nested: bool) -> int:
         """The number of the reservation of a resource of this host, for a frozen coordinator.
 
-        A start of it that has the resource already gets the same number again. 0: not yet; after `Machine.go`
-        this is asked again, unless `Machine.resume` says why not. Whoever is told that, or is given up
-        (`give_up`), has not got it. `nested`: it has another one already, and must not wait for this one.
+        A start that has the resource already has it still, by this number from now on. 0: not yet; after
+        `Machine.go` this is asked again, unless `Machine.resume` says why not. Whoever is told that, or is
+        given up (`give_up`), has not got it. `nested`: it has another one, and must not wait for this one.
 
         Raises Trap (ReservedException, UnreachableResourceException): it has not got it.
         """

@@ -15,7 +15,7 @@ from typing import Annotated, Literal
 from msgspec import Meta, Struct
 
 from lfield.wire.coordinators import Accepted, Ended, EndedAck, Inquire, Known, Refused
-from lfield.wire.fields import Age, Count, FactValue, Hash, Index, Label, Name, Text, ToldBy
+from lfield.wire.fields import Age, Count, FactValue, Hash, Index, Label, MaybeName, Name, Text, ToldBy
 from lfield.wire.observing import (
     EmergencyStop,
     EmergencyStopped,
@@ -28,6 +28,7 @@ from lfield.wire.observing import (
     StatusRequest,
 )
 from lfield.wire.quorum import QuorumMessage
+from lfield.wire.reservations import ReservationMessage
 
 #: The version of everything in this package. Hosts of different versions do not talk.
 PROTOCOL = 6
@@ -46,7 +47,7 @@ class Hello(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
     `devices` says what those of its team are, '' where it has none.
     `max_block` is the largest block this host takes, in bytes. `recovery` says in words who decides that a
     coordinator is lost; '' where none is recovered. `origin` says in words where on the Earth its team counts
-    places from; '' where nowhere.
+    places from; '' where nowhere. `reservation` is how long one lasts unheard, in seconds.
     """
 
     role: Role
@@ -61,6 +62,7 @@ class Hello(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
     memory: Count = 0
     recovery: Text = ""
     origin: Text = ""
+    reservation: Age = 0.0
 
     @property
     def remembers(self) -> int:
@@ -115,7 +117,8 @@ class AgentReport(Struct, frozen=True, array_like=True, forbid_unknown_fields=Tr
     """What has changed about one agent; `agent` is its place in the deployment.
 
     `trouble` is why it cannot be called, '' when it can, and `lasting` for how many seconds already, where
-    that is told. `unknown` are live attributes that have no value, each with the reason.
+    that is told. `unknown` are live attributes that have no value, each with the reason. `holder` is the
+    coordinator that has reserved it, '' for none, and `held` for how many seconds already.
     """
 
     agent: Index
@@ -123,6 +126,8 @@ class AgentReport(Struct, frozen=True, array_like=True, forbid_unknown_fields=Tr
     lasting: Age | None
     facts: Annotated[list[FactReport], Meta(max_length=1024)]
     unknown: Annotated[list[tuple[Index, Label]], Meta(max_length=1024)]
+    holder: MaybeName = ""
+    held: Age = 0.0
 
 
 class Report(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=12):
@@ -180,6 +185,7 @@ Control = (
     | Heard
     | Room
     | QuorumMessage
+    | ReservationMessage
 )
 
 #: Every message without a block.

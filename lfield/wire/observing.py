@@ -98,6 +98,17 @@ class BegunStatus(Struct, frozen=True, array_like=True, forbid_unknown_fields=Tr
     state: Literal["running", "done", "thrown", "lost"]
 
 
+class ReservedStatus(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
+    """A resource that a coordinator has reserved, for how many seconds already; so many are `left` of its
+    lease, should nothing be heard of it."""
+
+    resource: Name
+    agent: Name
+    generation: Count
+    held: Age
+    left: Age
+
+
 class JournalStatus(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
     """The journal of a host: how many commits it made in the last minute, and what it keeps for later.
 
@@ -117,7 +128,7 @@ class Status(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, t
     `silence` for how many it may give none; both None without devices. `journal` is None for a host that
     keeps nothing. `paused`: no agent runs here until the mission is resumed. For so many seconds yet its
     `lease` lets coordinators act, None where they need none. `begun` are the calls that were begun here and
-    are still to be fetched.
+    are still to be fetched, `reserved` the resources here that coordinators have reserved.
     """
 
     host: Name
@@ -136,6 +147,7 @@ class Status(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, t
     lease: Age | None = None
     paused: bool = False
     begun: Annotated[list[BegunStatus], Meta(max_length=4096)] = []
+    reserved: Annotated[list[ReservedStatus], Meta(max_length=4096)] = []
 
 
 class EmergencyStop(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=10):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from types import SimpleNamespace
 
 import pytest
 
@@ -13,6 +14,8 @@ from lfield.host.directory import LOOK_EVERY
 from lfield.manifest import Observation
 from lfield.wire.messages import AgentReport, FactReport, Report
 
+#: A coordinator that has reserved nothing.
+ASKER = SimpleNamespace(id="foreman")
 CRANES = """
 resource Crane {
     Mavlink fc;
@@ -76,7 +79,7 @@ def known(running, agent):
 
 
 def offered(running, constraint=None):
-    found = running.host.core.world.offers(None, "Lift", constraint)
+    found = running.host.core.world.offers(ASKER, "Lift", constraint)
     return [offer.agent for offer in found]
 
 
@@ -113,7 +116,7 @@ def test_however_often_something_changes_a_host_tells_it_at_a_bounded_rate(fleet
         before = team.network.sent["Report"]
         for step in range(500):
             devices.values["far.fc", "battery"] = (step / 500, 0.0)
-            bravo.host.core.world.offers(None, "Lift", None)
+            bravo.host.core.world.offers(ASKER, "Lift", None)
             await asyncio.sleep(0.02)
         assert team.network.sent["Report"] - before <= 10.0 / LOOK_EVERY + 1
 
@@ -140,7 +143,7 @@ coordinator Foreman {
     async def story(team):
         alpha, *_ = await two_hosts(team, program)
         await asyncio.sleep(4.9)
-        alpha.host.core.world.offers(None, "Lift", None)
+        alpha.host.core.world.offers(ASKER, "Lift", None)
         before = team.network.sent.copy()
         sent = {}
         writes = alpha.host.core.world.log
@@ -165,15 +168,15 @@ def test_why_an_agent_is_not_offered(fleet):
         far.troubles["far.fc"] = Trouble("fc: not heard", asyncio.get_running_loop().time() - 3.0)
         assert sorted(offered(alpha)) == ["far", "small"]
         assert "near: fc: in its safe state hold: the host was silent" in alpha.host.core.world.explain(
-            None, "Lift", None
+            ASKER, "Lift", None
         )
         await asyncio.sleep(1.5)
         assert offered(alpha) == offered(bravo) == ["small"]
-        assert "far: fc: not heard for 4.5 s" in alpha.host.core.world.explain(None, "Lift", None)
+        assert "far: fc: not heard for 4.5 s" in alpha.host.core.world.explain(ASKER, "Lift", None)
         team.network.partition("alpha", "bravo")
         await asyncio.sleep(12.0)
         assert offered(alpha) == []
-        assert "small: unreachable for 12 s" in alpha.host.core.world.explain(None, "Lift", None)
+        assert "small: unreachable for 12 s" in alpha.host.core.world.explain(ASKER, "Lift", None)
         del far.troubles["far.fc"]
         team.network.heal("alpha", "bravo")
         await asyncio.sleep(3.0)
@@ -193,7 +196,7 @@ def test_a_resource_that_died_is_not_offered(fleet):
         assert "far" in offered(alpha)
         await asyncio.sleep(5.0)
         assert "far" not in offered(alpha)
-        assert "far: died of " in alpha.host.core.world.explain(None, "Lift", None)
+        assert "far: died of " in alpha.host.core.world.explain(ASKER, "Lift", None)
 
     fleet(story)
 
@@ -329,8 +332,8 @@ def test_a_condition_that_cannot_be_read_is_an_error_with_its_mistakes(fleet):
     async def story(team):
         alpha, *_ = await two_hosts(team)
         with pytest.raises(ConstraintError):
-            alpha.host.core.world.offers(None, "Lift", "paylod >= 2.0")
+            alpha.host.core.world.offers(ASKER, "Lift", "paylod >= 2.0")
         with pytest.raises(ConstraintError):
-            alpha.host.core.world.explain(None, "Lift", "payload >=")
+            alpha.host.core.world.explain(ASKER, "Lift", "payload >=")
 
     fleet(story)

@@ -23,6 +23,7 @@ from lfield.journal.pages import (
     Page,
     Paused,
     ProgramPage,
+    ReservationPage,
     Run,
     Starts,
     Stopped,
@@ -39,6 +40,7 @@ PAGES: tuple[Page, ...] = (
     Paused(True),
     Stopped("the emergency stop was pressed: fog"),
     Fence("scout", 2),
+    ReservationPage("arm", 41, "scout", 3),
     ProgramPage(b"\1" * 32, bytes(100), ("scout", "arm"), ("Scout", "Arm"), ("barn", "field")),
 )
 #: Larger than what is free in the files of a new journal.

@@ -21,6 +21,7 @@ from lfield.journal.pages import (
     PageError,
     Paused,
     ProgramPage,
+    ReservationPage,
     Run,
     Starts,
     Stopped,
@@ -54,6 +55,7 @@ PAGES: st.SearchStrategy[Page] = st.one_of(
     st.builds(Paused, st.booleans()),
     st.builds(Stopped, WORDS),
     st.builds(Fence, WORDS, COUNTS),
+    st.builds(ReservationPage, WORDS, COUNTS, WORDS, COUNTS),
     st.builds(ProgramPage, HASHES, st.binary(max_size=200), st.tuples(WORDS), st.tuples(WORDS), st.tuples()),
 )
 TIMES = st.floats(0, 4e9)

@@ -80,6 +80,17 @@ def test_limits_of_agents_go_over_the_defaults(written, plugins):
     assert read_bindings(None, {"x": {}}, plugins).limits("x").heap == 1 << 20
 
 
+def test_how_long_a_reservation_lasts_and_others_wait(written, plugins):
+    usual = read_bindings(written(GOOD), NEEDED, plugins)
+    assert (usual.reservations.lease, usual.reserved_wait("alpha")) == (6.0, 5.0)
+    text = (
+        GOOD.replace("threads: 4", "threads: 4, reserved_wait: 0") + "reservations: {lease: 2, wait: 1.5}\n"
+    )
+    bindings = read_bindings(written(text), NEEDED, plugins)
+    assert bindings.reservations.lease == 2.0
+    assert (bindings.reserved_wait("tour"), bindings.reserved_wait("alpha")) == (0.0, 1.5)
+
+
 @pytest.mark.parametrize(
     ("old", "new", "drawn"),
     [
@@ -105,6 +116,14 @@ def test_limits_of_agents_go_over_the_defaults(written, plugins):
             "unreachable: 4",
             ":16:1: error[Y111]: a devices file takes no 'unreachable'",
         ),
+        (
+            "unreachable_after: 4",
+            "reservations: {lease: 0.1}",
+            ":16:23: error[Y113]: 'lease' must be from 0.5 to 600, not 0.1",
+        ),
+        ("unreachable_after: 4", "reservations: {wait: -1}", "'wait' must be from 0 to 3600, not -1"),
+        ("unreachable_after: 4", "reservations: {waits: 1}", "'reservations' takes no 'waits'"),
+        ("threads: 4", "reserved_wait: soon", "error[Y112]: 'reserved_wait' must be a number"),
         ("threads: 4", "threads: 0", "error[Y113]: 'threads' must be from 1 to 65536, not 0"),
     ],
 )

@@ -48,8 +48,8 @@ def test_the_same_life_may_have_a_second_link():
 @pytest.mark.parametrize(
     ("message", "sentence"),
     [
-        (ForeignHello(6), "a speaks protocol 5 and its peer protocol 6; install the same version"),
-        (ForeignHello(3), "a speaks protocol 5 and its peer protocol 3; install the same version"),
+        (ForeignHello(7), "a speaks protocol 6 and its peer protocol 7; install the same version"),
+        (ForeignHello(3), "a speaks protocol 6 and its peer protocol 3; install the same version"),
         (hello(program=b"q" * 32), "a has program 707070707070 and b has program 717171717171"),
         (hello(deployment=b"q" * 32), "a has deployment 646464646464 and b has deployment 7171"),
         (hello(registry=b"q" * 32), "a has registry 727272727272 and b has registry 7171"),
@@ -163,3 +163,11 @@ def test_an_observer_takes_any_host_and_names_the_deployment_it_wants():
 def test_a_refusal_is_shown_without_knowing_who_sent_it():
     with pytest.raises(GreetingError, match="the peer refused this host: no"):
         greeting().receive(Refuse("no"))
+
+
+def test_who_renews_too_seldom_for_others_loses_what_it_has():
+    machine = Greeting(hello("a", reservation=6.0), hosts=HOSTS)
+    with pytest.raises(GreetingError, match=r"a last 6 s unheard and those of b 20 s; give both the same"):
+        machine.receive(hello(reservation=20.0))
+    Greeting(hello("a", reservation=6.0), hosts=HOSTS).receive(hello(reservation=6.0))
+    Greeting(hello("a", reservation=6.0), hosts=HOSTS).receive(hello("ps", role="observer"))

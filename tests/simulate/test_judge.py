@@ -23,7 +23,7 @@ from lfield.simulate.judging.judge import Judge
 from lfield.simulate.judging.saved import nowhere
 from lfield.simulate.seeds import run, told
 from lfield.simulate.stories.shrink import command, smallest
-from lfield.simulate.stories.story import FOR_EVER, crew, drawn, fenced
+from lfield.simulate.stories.story import FOR_EVER, crew, drawn, fenced, keeper
 from lfield.simulate.stories.trial import tell
 from lfield.simulate.weather import Weather
 from lfield.vm.memory.layout import W_GENERATION
@@ -53,6 +53,22 @@ def test_stories_of_crews_keep_every_promise() -> None:
         recovered += verdict.recovered
     assert calls > 200
     assert recovered > 0
+
+
+def test_stories_of_keepers_keep_every_promise() -> None:
+    recovered = 0
+    rounds, begun = Counter[str](), Counter[str]()
+    for seed in range(16):
+        verdict = tell(keeper(seed), keep_log=True)
+        assert not verdict.breaches, f"{verdict.breaches[0]}: {command(verdict.story)}"
+        recovered += verdict.recovered
+        lines = [text.split() for _, _, text in verdict.log]
+        rounds.update(words[-1] for words in lines if "quits" in words)
+        begun.update(words[-1] for words in lines if words[:1] == ["uses"])
+    assert recovered > 0
+    assert begun["inside"] > 200
+    assert begun["alone"] > 20
+    assert {"done", "taken", "lost", "failed", "restarted"} <= rounds.keys()
 
 
 def test_a_judge_sees_what_it_judges() -> None:

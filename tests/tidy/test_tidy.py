@@ -27,8 +27,10 @@ TABLES: dict[str, str] = {
 #: Shorter than others, each one idea that nothing else is about.
 SMALL = {
     "lfield/host/inits.py": "who waits for an init",
+    "lfield/host/team/absent.py": "whom nobody waits for",
     "lfield/text/visible.py": "what may reach a terminal",
     "lfield/wire/fields.py": "types of fields, a table",
+    "lfield/wire/reservations.py": "what is said of reservations, all of it",
     "lfield/capability/ways.py": "names that compiler and machine share",
     "lfield/clock.py": "a word that everybody speaks",
     "lfield/devices/measuring.py": "what is done for lateness to decide",

@@ -36,11 +36,13 @@ from lfield.wire.observing import (
     JournalStatus,
     LinkStatus,
     ParkedStatus,
+    ReservedStatus,
     Status,
     StatusRequest,
     Told,
     ToldFact,
 )
+from lfield.wire.reservations import Release, Renew
 
 HASH = b"h" * 32
 REPEATABLE = settings(derandomize=True, deadline=None)
@@ -80,6 +82,7 @@ MESSAGES = [
     STATUS,
     status(devices=[DeviceStatus("one.fc", {}, None, "why")], links=[LinkStatus("b", 2.5)]),
     status(journal=JournalStatus(3, "full", [ParkedStatus("one", 1, 2, HASH, "PREPARED", "b")])),
+    status(reserved=[ReservedStatus("arm", "Tour:one", 2, 12.5, 3.5)]),
     status(begun=[BegunStatus("Tour:one", 2, "arm", "lift", "running")]),
     Forget("Tour:one"),
     Forgotten([1, 3]),
@@ -87,6 +90,9 @@ MESSAGES = [
     Pong(1),
     Report(1, 0, 1, [AgentReport(3, "fc: not heard", 3.5, [FactReport(0, 0.75, 0.5, True)], [(1, "…")])]),
     Report(2**63 - 1, 6, 7, [AgentReport(0, "", None, [], [])]),
+    Report(1, 0, 1, [AgentReport(3, "", None, [], [], "pilot", 12.5)]),
+    Renew("arm", 2**62, "Tour:one", 3),
+    Release("arm", 7),
 ]
 
 
@@ -111,6 +117,20 @@ def parts(frame: bytes) -> tuple[int, bytes]:
 def test_there_and_back(message):
     assert decode(*parts(encode(message))) == message
     assert decode(parts(encode(message))[0], memoryview(parts(encode(message))[1])) == message
+
+
+NAMES = st.text(st.characters(exclude_categories=["Cs"]), min_size=1, max_size=MAX_NAME)
+NUMBERS = st.integers(0, 2**63 - 1)
+
+
+@REPEATABLE
+@given(
+    st.builds(Renew, NAMES, NUMBERS, NAMES, NUMBERS)
+    | st.builds(Release, NAMES, NUMBERS)
+    | st.builds(lambda *held: status(reserved=[ReservedStatus(*held, 1.5, 0.25)]), NAMES, NAMES, NUMBERS)
+)
+def test_whatever_is_said_of_reservations_comes_back(message):
+    assert decode(*parts(encode(message))) == message
 
 
 def test_a_transfer_is_its_header_and_the_very_bytes():
@@ -199,6 +219,16 @@ def test_what_fits_its_checksum_and_is_no_message_is_a_wire_error(kind, start, b
         Hello("host", "a", 1, b"h" * 33),
         Hello("king", "a", 1),
         Hello("host", "a", 1, coordinators=[Known("Tour:one", 1, 1, 1, "RUN")] * 4097),
+        Renew("", 1, "Tour:one", 1),
+        Renew("arm", -1, "Tour:one", 1),
+        Renew("arm", 1, "Tour:one", 2**63),
+        Release("x" * (MAX_NAME + 1), 1),
+        Release("arm", -1),
+        Report(1, 0, 1, [AgentReport(3, "", None, [], [], "x" * (MAX_NAME + 1), 1.0)]),
+        Report(1, 0, 1, [AgentReport(3, "", None, [], [], "pilot", -1.0)]),
+        status(reserved=[ReservedStatus("arm", "", 2, 12.5, 3.5)]),
+        status(reserved=[ReservedStatus("arm", "pilot", 2, math.nan, 3.5)]),
+        Hello("host", "a", 1, reservation=-1.0),
         report(agent=-1),
         report(agent=2**16),
         report(since=-1),

@@ -59,6 +59,7 @@ class _Shown(Struct, frozen=True):
     candidate: Candidate
     condition: Condition
     away: float | None
+    own: bool
     until: float
 
 
@@ -66,7 +67,8 @@ class Directory:
     """The agents of a mission as the host `here` knows them; `life` tells this run of it from the next.
 
     Implements `offer.Team`. Only agents whose type is a provider of the registry are in it. `pose` is where
-    the host stands by the devices file.
+    the host stands by the devices file. What somebody has reserved can be called by nobody but its holder:
+    `asker` is the coordinator that asks, '' for nobody.
     """
 
     def __init__(
@@ -89,6 +91,7 @@ class Directory:
             self._by_type.setdefault(agent.type, []).append(agent)
         self._known = known_agents(registry, agents)
         self._live = {agent.id: live_attributes(registry, agent) for agent in self._agents.values()}
+        self.asker = ""
         self._own: dict[str, Condition] = {}
         self._shown: dict[str, _Shown] = {}
         self._announcer = Announcer(registry.attributes, life)
@@ -170,22 +173,27 @@ class Directory:
         else:
             condition = self._remotes[agent.host].conditions.get(agent.id, SILENCE)
             away = self._links.away.get(agent.host)
+        own = condition.reserved is not None and condition.reserved.holder == self.asker
         shown = self._shown.get(agent.id)
-        if shown is None or now >= shown.until or shown.condition is not condition or shown.away != away:
-            shown = self._shown[agent.id] = self._show(agent, condition, away, now)
+        same = shown is not None and shown.condition is condition and (shown.away, shown.own) == (away, own)
+        if shown is None or not same or now >= shown.until:
+            shown = self._shown[agent.id] = self._show(agent, condition, away, now, own=own)
         return shown.candidate
 
-    def _show(self, agent: Deployed, condition: Condition, away: float | None, now: float) -> _Shown:
+    def _show(
+        self, agent: Deployed, condition: Condition, away: float | None, now: float, *, own: bool
+    ) -> _Shown:
         known, told = self._known[agent.id], {}
         trouble = condition.trouble if away is None else Trouble("unreachable", away)
         if condition.samples:
             told = _with_ages(condition.samples, self._kept_until(agent.host), now)
-        refusal = trouble.sentence(now) if trouble else ""
+        why = trouble or (None if own else condition.reserved)
+        refusal = why.sentence(now) if why else ""
         hops = 0 if agent.host == self._here else 1
         untold = f"{agent.host} has not told {{}} yet"
         candidate = known.shown(hops, refusal, told, condition.unknown, untold)
-        passing = trouble or known.measured
-        return _Shown(candidate, condition, away, now + MOMENT if passing else math.inf)
+        passing = why or known.measured
+        return _Shown(candidate, condition, away, own, now + MOMENT if passing else math.inf)
 
     def _kept_until(self, host: str) -> float:
         """Until when a host surely kept its values up to date; those of this host are as old as they say."""

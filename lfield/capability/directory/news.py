@@ -38,6 +38,18 @@ class Trouble:
         return f"{self.reason} for {seconds:.{0 if seconds >= 10 else 1}f} s"
 
 
+@dataclass(frozen=True, slots=True)
+class Reserved:
+    """A coordinator has an agent for itself `since` then: others are not offered it (decision 53)."""
+
+    holder: str
+    since: float
+
+    def sentence(self, now: float) -> str:
+        """`reserved by pilot for 12 s`."""
+        return Trouble(f"reserved by {self.holder}", self.since).sentence(now)
+
+
 class Sample(Struct, frozen=True, gc=False):
     """A value that was true at `when`, as it stood when somebody looked, at the time `at`.
 
@@ -53,7 +65,8 @@ class Sample(Struct, frozen=True, gc=False):
 
 
 class Condition(Struct, frozen=True):
-    """How an agent is, or what changed about it: `trouble` is always told, the others by attribute.
+    """How an agent is, or what changed about it: `trouble` and who has it `reserved` are always told, the
+    others by attribute.
 
     An attribute is among `samples`, or it is `unknown` with the reason, or nothing was said of it.
     """
@@ -61,12 +74,15 @@ class Condition(Struct, frozen=True):
     trouble: Trouble | None = None
     samples: Mapping[str, Sample] = {}
     unknown: Mapping[str, str] = {}
+    reserved: Reserved | None = None
 
     def updated(self, change: Condition) -> Condition:
         """This with what has changed."""
         samples = {name: s for name, s in self.samples.items() if name not in change.unknown}
         unknown = {name: why for name, why in self.unknown.items() if name not in change.samples}
-        return Condition(change.trouble, {**samples, **change.samples}, {**unknown, **change.unknown})
+        return Condition(
+            change.trouble, {**samples, **change.samples}, {**unknown, **change.unknown}, change.reserved
+        )
 
 
 #: An agent of which nothing was said.
@@ -122,8 +138,13 @@ class Announcer:
             if self._differs(told.samples.get(name), marked := self._marked(name, sample), name)
         }
         unknown = {name: why for name, why in now.unknown.items() if told.unknown.get(name) != why}
-        if samples or unknown or _another(told.trouble, now.trouble):
-            return Condition(now.trouble, samples, unknown)
+        if (
+            samples
+            or unknown
+            or _another(told.trouble, now.trouble)
+            or _another_holder(told.reserved, now.reserved)
+        ):
+            return Condition(now.trouble, samples, unknown, now.reserved)
         return None
 
     def _marked(self, name: str, sample: Sample) -> Sample:
@@ -146,3 +167,9 @@ def _another(told: Trouble | None, now: Trouble | None) -> bool:
     if told.reason != now.reason or (told.since is None) != (now.since is None):
         return True
     return told.since is not None and now.since is not None and abs(told.since - now.since) > JITTER
+
+
+def _another_holder(told: Reserved | None, now: Reserved | None) -> bool:
+    if told is None or now is None:
+        return told is not now
+    return told.holder != now.holder or abs(told.since - now.since) > JITTER

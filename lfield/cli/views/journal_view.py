@@ -6,7 +6,17 @@ from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING
 
 from lfield.journal.opening import lost, moment
-from lfield.journal.pages import BegunPage, CopyPage, Fence, Paused, ProgramPage, Run, Starts, Stopped
+from lfield.journal.pages import (
+    BegunPage,
+    CopyPage,
+    Fence,
+    Paused,
+    ProgramPage,
+    ReservationPage,
+    Run,
+    Starts,
+    Stopped,
+)
 
 if TYPE_CHECKING:
     from lfield.journal.reading import Seen
@@ -48,6 +58,9 @@ def journal_lines(seen: Seen) -> Iterator[str]:
                 yield f"stopped   until 'lfield estop --lift': {page.reason}"
             case Fence():
                 yield f"fence     {page.agent}: no start before {page.generation}"
+            case ReservationPage():
+                holder = f"{page.agent}, start {page.generation}" if page.agent else "nobody"
+                yield f"reserved  {page.resource}, number {page.number}: {holder}"
             case ProgramPage():
                 yield f"program   {page.digest.hex()[:16]}, {len(page.code)} bytes"
     for entry, page in sorted(seen.pages, key=lambda found: found[0].key):

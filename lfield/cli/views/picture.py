@@ -122,6 +122,11 @@ def _agents(answers: Answers[Status]) -> Table:
         for begun in answer.begun:
             state = _BEGUN[begun.state].format(f"{begun.resource}.{begun.portal}")
             _add(shown, host, begun.agent, "", state, "", "", "")
+        for reserved in answer.reserved:
+            state = (
+                f"has reserved {reserved.resource} for {reserved.held:.0f} s, and {reserved.left:.0f} s yet"
+            )
+            _add(shown, host, reserved.agent, "", state, "", "", "")
         for parked in answer.journal.parked if answer.journal is not None else ():
             if parked.state != "MOVED":
                 _add(shown, host, parked.agent, "", _parked(parked), str(parked.hops), "", "")
@@ -188,6 +193,7 @@ def _status(status: Status) -> dict[str, Any]:
         "lease": status.lease,
         "journal": _journal_data(status.journal),
         "begun": [asdict(begun) for begun in status.begun],
+        "reserved": [asdict(reserved) for reserved in status.reserved],
         "moving": {device.name: device.moving for device in status.devices if device.moving},
         "directory": _directory(status.directory),
     }

@@ -162,10 +162,7 @@ class BegunPages:
 
     def _over(self, start: Start) -> str:
         """Why nobody will fetch what a start has begun, '' when somebody may."""
-        agent, generation = start
-        if self._leases.barred(agent, generation):
-            return f"no start of {agent} as early as this one may run any more"
-        return self._team.mobility.over(agent, generation)
+        return self._leases.over(*start)
 
     def _end(self, start: Start, why: str, begun: set[Start]) -> None:
         agent, generation = start

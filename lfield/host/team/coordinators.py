@@ -9,12 +9,12 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping
 from functools import partial
 
-from lfield.bytecode.encoding import encode
 from lfield.clock import Clock
 from lfield.errors import BlockError
 from lfield.host.effects import CHANGED, Effect, Keep, Say
-from lfield.host.team.keeping import Keeping, Recovery
-from lfield.journal.pages import Key, Page, ProgramPage, Run, Starts
+from lfield.host.team.absent import Absent
+from lfield.host.team.keeping import Keeping, Recovery, explanation
+from lfield.journal.pages import Key, Page, Run, Starts
 from lfield.mission.mission import Mission
 from lfield.mobility import effects as mobile
 from lfield.mobility.copies import Copy
@@ -58,7 +58,7 @@ class Coordinators:
             unreachable_after=unreachable_after,
         )
         self.recovery = Recovery(pages, own.mission)
-        self.keeping = Keeping([] if self.recovery.explained else [_explanation(mission, own.mission)])
+        self.keeping = Keeping([] if self.recovery.explained else [explanation(mission, own.mission)])
         self.mobility.restore(self.recovery.copies, self.recovery.parked)
         #: Somebody has paused the mission: time stands still for what waits here.
         self.paused = self.recovery.paused
@@ -210,13 +210,19 @@ class Coordinators:
         self.carry_out(effects)
         return bool(effects)
 
-    def depart(self, agent: Agent, resource: Member) -> None:
-        """A frozen coordinator wants to the host of a resource."""
+    def depart(self, agent: Agent, resource: Member, absent: Absent) -> None:
+        """A frozen coordinator wants to the host of a resource. It waits for nobody who is lost.
+
+        But for what it has begun there it waits as long as ever: that may be there yet.
+        """
         if self._stays(agent):
             return
-        target = self._mission.team.hosts[resource.host]
-        seal = self._sealer(agent)
-        self.carry_out(self.mobility.depart(agent.id, target, seal, self._clock.monotonic()))
+        target, fetches = self._mission.team.hosts[resource.host], self._fetches(agent)
+        if not fetches and (why := absent.lost(target)):
+            self._resume(agent, UNREACHABLE, why)
+            return
+        since = self._clock.monotonic() - (0.0 if fetches else absent.away(target))
+        self.carry_out(self.mobility.depart(agent.id, target, self._sealer(agent), since))
         if self._due is None:
             self._due = self.mobility.next_deadline()
 
@@ -236,8 +242,13 @@ class Coordinators:
             return "waits for its disk"
         if not self.is_leaving(agent):
             return "being kept"
-        called = self._machine.calling(agent) if self._machine.goes_on(agent) else None
+        called = self._machine.calling(agent) if self._fetches(agent) else None
         return f"fetches from {self._mission.team.hosts[called[0].host]}" if called else "leaving"
+
+    def _fetches(self, agent: Agent) -> bool:
+        """Whether a frozen coordinator has begun something on the host that it wants to."""
+        called = self._machine.calling(agent)
+        return called is not None and called[1] != "" and self._machine.goes_on(agent)
 
     def is_leaving(self, agent: Agent) -> bool:
         """Whether a frozen coordinator wants to another host, or may be there."""
@@ -291,7 +302,8 @@ class Coordinators:
             # It never came to a portal call that acts: nothing that it did was seen from outside.
             self._start(copy.agent, copy.generation)
             self.say(f"{copy.agent} begins again: {self._own.host} stopped before its first call that acts")
-            return _nothing
+            # It is not asked for its block before it has come to a portal call.
+            return lambda _: b""
         member = self._members[copy.agent]
         try:
             limits = self._mission.bindings.limits(member.id)
@@ -366,8 +378,8 @@ class Coordinators:
         """Let a frozen coordinator go on with an exception, which names the resource that it has called."""
         called = self._machine.calling(agent)
         if called and kind == RESTARTED:
-            # Who has forgotten what it was about needs the portal too.
-            reason = f"{reason} ({called[0].id}.{called[1]})"
+            # Who has forgotten what it was about needs the portal too; there is none where it reserves.
+            reason = f"{reason} ({'.'.join(filter(None, (called[0].id, called[1])))})"
         self._machine.resume(agent, kind, reason, called[0].id if called else "", recovered=recovered)
 
     def _held(self, identity: str, generation: int) -> Agent | None:
@@ -386,15 +398,3 @@ class Coordinators:
     def say(self, text: str) -> None:
         """A line for the log."""
         self._out(Say(text))
-
-
-def _explanation(mission: Mission, digest: bytes) -> ProgramPage:
-    """What explains the blocks of a mission to whoever looks into the journal."""
-    team = mission.team
-    members, types = tuple(m.id for m in team.members), tuple(m.type for m in team.members)
-    return ProgramPage(digest, encode(mission.program), members, types, tuple(team.hosts))
-
-
-def _nothing(_: int) -> Buffer:
-    """The block of a coordinator that has not come to a portal call: it is never asked for."""
-    return b""

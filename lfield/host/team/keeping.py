@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Iterable
 
+from lfield.bytecode.encoding import encode
 from lfield.journal.pages import (
     BegunPage,
     CopyPage,
@@ -21,6 +22,7 @@ from lfield.journal.pages import (
     Stopped,
     key_of,
 )
+from lfield.mission.mission import Mission
 from lfield.mobility.effects import (
     Began,
     Departed,
@@ -127,6 +129,13 @@ class Keeping:
             if not waiting:
                 del self._behind[agent]
         return ready
+
+
+def explanation(mission: Mission, digest: bytes) -> ProgramPage:
+    """What explains the blocks of a mission to whoever looks into the journal."""
+    team = mission.team
+    members, types = tuple(m.id for m in team.members), tuple(m.type for m in team.members)
+    return ProgramPage(digest, encode(mission.program), members, types, tuple(team.hosts))
 
 
 class Recovery:

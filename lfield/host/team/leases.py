@@ -217,6 +217,12 @@ class Leases:
         """Whether a start of a coordinator is taken in no more."""
         return self.quorum.barred(agent, generation)
 
+    def over(self, agent: str, generation: int) -> str:
+        """Why a start acts nowhere any more, as far as is known here; '' when it may."""
+        if self.barred(agent, generation):
+            return f"no start of {agent} as early as this one may run any more"
+        return self._team.mobility.over(agent, generation)
+
     def until(self, caller: Caller, device: str) -> float:
         """Until when a device may be actuated for a coordinator, in seconds of this host's clock.
 

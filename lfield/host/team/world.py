@@ -7,15 +7,17 @@ from collections.abc import Callable, Sequence
 from lfield.bytecode.program import DeviceCall
 from lfield.host.effects import CHANGED, Died, Effect, Say, Write
 from lfield.host.offers import Offers
+from lfield.host.team.absent import Absent
 from lfield.host.team.begun import BegunPages
 from lfield.host.team.commands import Commands
 from lfield.host.team.coordinators import Coordinators
 from lfield.host.team.leases import Leases
+from lfield.host.team.reserving import Reserving
 from lfield.manifest import DeviceValue
 from lfield.mission.team import Team
 from lfield.vm.agent import Agent, Member
 from lfield.vm.begun import Beginning, Begun
-from lfield.vm.contract import Reading, Trap
+from lfield.vm.contract import Reading
 from lfield.vm.offers import Found
 from lfield.vm.world import Pending
 
@@ -31,20 +33,24 @@ class HostWorld:
         self._coordinators: Coordinators
         self._leases: Leases
         self._begun: BegunPages
+        self._reserving: Reserving
         self._commands: Commands
         self._offers: Offers
+        self._absent: Absent
 
     def join(
         self,
         coordinators: Coordinators,
         leases: Leases,
         begun: BegunPages,
+        reserving: Reserving,
         commands: Commands,
         offers: Offers,
+        absent: Absent,
     ) -> None:
         """The parts that answer."""
         self._coordinators, self._leases, self._begun = coordinators, leases, begun
-        self._commands, self._offers = commands, offers
+        self._reserving, self._commands, self._offers, self._absent = reserving, commands, offers, absent
 
     def write(self, agent: Agent, text: str) -> None:
         """Program output."""
@@ -62,15 +68,16 @@ class HostWorld:
         return self._leases.may_begin(agent) and (agent.kept or not acts or self._begun.save(agent))
 
     def take(self, agent: Agent, resource: Member, *, nested: bool) -> int:
-        """Nobody reserves anything here."""
-        raise Trap("UnreachableResourceException", f"{resource.id} cannot be reserved", resource.id)
+        """The number of the reservation of a resource of this host, 0 while it has to be waited for."""
+        return self._reserving.take(agent, resource, nested=nested)
 
     def drop(self, agent: Agent, held: Sequence[tuple[Member, int]]) -> None:
-        """There is nothing to give back."""
+        """What a coordinator has reserved is given back, here and on other hosts."""
+        self._reserving.drop(agent, held)
 
     def serves(self, agent: Agent, resource: Member, number: int) -> bool:
-        """Everybody is served."""
-        return True
+        """Whether a portal of this host may begin for who has its resource by this number, or by none."""
+        return self._reserving.serves(agent, resource, number)
 
     def begins(self, agent: Agent, calls: Sequence[Beginning]) -> bool:
         """Whether the calls of a `together` may begin here now: each has a page first."""
@@ -82,7 +89,8 @@ class HostWorld:
 
     def give_up(self, agent: Agent) -> bool:
         """Whether a frozen coordinator may go on at once, since nobody wants to wait for it any longer."""
-        return self._leases.give_up(agent) or self._coordinators.mobility.give_up(agent.id, agent.generation)
+        waited = self._leases.give_up(agent) or self._reserving.give_up(agent)
+        return waited or self._coordinators.mobility.give_up(agent.id, agent.generation)
 
     def cancel(self, agent: Agent, thread: int) -> bool:
         """Whether what a thread waits for of a device is cancelled."""
@@ -99,7 +107,7 @@ class HostWorld:
     def depart(self, agent: Agent, resource: Member) -> None:
         """A frozen coordinator wants to the host of a resource."""
         self._reach(self._team.hosts[resource.host])
-        self._coordinators.depart(agent, resource)
+        self._coordinators.depart(agent, resource, self._absent)
         self._begun.leaves(agent)
 
     def device(
@@ -114,15 +122,15 @@ class HostWorld:
 
     def offers(self, agent: Agent, capability: str, constraint: str | None) -> list[Found]:
         """Who offers a capability now, best first."""
-        return self._offers.offers(capability, constraint)
+        return self._offers.offers(agent.id, capability, constraint)
 
     def teams(self, agent: Agent, capability: str, constraint: str | None, size: int) -> list[list[Found]]:
         """Teams of so many who offer it, best first."""
-        return self._offers.teams(capability, constraint, size)
+        return self._offers.teams(agent.id, capability, constraint, size)
 
     def explain(self, agent: Agent, capability: str, constraint: str | None) -> str:
         """Why everybody else does not."""
-        return self._offers.explain(capability, constraint)
+        return self._offers.explain(agent.id, capability, constraint)
 
     def ended(self, agent: Agent) -> None:
         """A coordinator is done, or an agent has died."""

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from lfield.capability.directory.news import Condition, News, Sample, Trouble
+from lfield.capability.directory.news import Condition, News, Reserved, Sample, Trouble
 from lfield.capability.directory.showing import Deployed
 from lfield.capability.model import Attribute, Registry, Value
 from lfield.capability.offer import Provenance
@@ -46,7 +46,8 @@ class Reports:
         ]
         unknown = [(places[name], clip(why, MAX_LABEL)) for name, why in change.unknown.items()]
         reason = clip(trouble.reason, MAX_LABEL) if trouble else ""
-        return AgentReport(self._numbers[agent], reason, lasting, facts, unknown)
+        holder, held = ("", 0.0) if (r := change.reserved) is None else (r.holder, age(now - r.since))
+        return AgentReport(self._numbers[agent], reason, lasting, facts, unknown, holder, held)
 
     def read(self, host: str, report: Report, now: float) -> News:
         """The news of a host. Raises WireError for what that host cannot say."""
@@ -67,7 +68,8 @@ class Reports:
             value = _value(agent, attribute, fact.value)
             samples[attribute.name] = Sample(value, now - fact.age, now, fact.kept, fact.of)
         unknown = {self._attribute(agent, place).name: why for place, why in told.unknown}
-        return Condition(trouble, samples, unknown)
+        reserved = Reserved(told.holder, now - told.held) if told.holder else None
+        return Condition(trouble, samples, unknown, reserved)
 
     def _attribute(self, agent: str, place: int) -> Attribute:
         known = self._attributes

@@ -8,9 +8,9 @@ I5  at every moment some disk holds a state to go on from (`saved.py`)
 
 Of a coordinator that a majority may recover a copy may stand beside its successor, as long as it begins no
 call and commands no device once that one goes on (`calls.py`, `devices.py`). Calls that are begun together
-do not outlive their block (`blocks.py`). Beside them: no start has the
-number of an earlier one, nobody is called lost who lives, no device moves for nobody or has two owners, no
-host fails, and whoever may go on after the weather does.
+do not outlive their block (`blocks.py`), and what is reserved is its holder's alone (`reserved.py`). Beside
+them: no start has the number of an earlier one, nobody is called lost who lives, no device moves for nobody
+or has two owners, no host fails, and whoever may go on after the weather does.
 """
 
 from __future__ import annotations
@@ -26,6 +26,7 @@ from lfield.simulate.judging.blocks import Blocks
 from lfield.simulate.judging.breaches import Breach, Breaches
 from lfield.simulate.judging.calls import Calls
 from lfield.simulate.judging.devices import Devices
+from lfield.simulate.judging.reserved import Reserved
 from lfield.simulate.judging.results import Results
 from lfield.simulate.judging.saved import nowhere, shadowed
 from lfield.simulate.judging.witness import tap
@@ -78,6 +79,16 @@ class Judge:
         self._devices = Devices(self.breaches, self._calls.made_for, self._newest_at)
         self._blocks = Blocks(self.breaches, lambda: self.fleet.now, self._newest_at, self._on_disk)
         self._results = Results(self.breaches, self._home)
+        self.reserved = Reserved(
+            self.breaches,
+            lambda: self.fleet.now,
+            lambda: self.fleet.mission.bindings.reservations.lease,
+            self._newest_at,
+            self._on_disk,
+        )
+        #: What is seen of reservations goes to whoever judges them.
+        self.given, self.dropped = self.reserved.given, self.reserved.dropped
+        self.asked, self.renewed = self.reserved.asked, self.reserved.renewed
         #: How much was seen: a judge who sees nothing finds nothing.
         self.seen = dict.fromkeys(("injections", "starts", "recoveries"), 0)
         #: When which recovery of each agent was the first to go on.
@@ -93,23 +104,27 @@ class Judge:
         self._lives: dict[int, Life] = {}
         #: The disk that each life has begun with, should somebody take the life for what remembers.
         self._memories: dict[int, int] = {}
+        self._disks_of: dict[str, int] = {}
         self._told = 0
 
     def born(self, name: str, life: Life) -> None:
         """A host's process begins."""
-        self._lives[life.core.incarnation] = life
-        self._memories[life.core.incarnation] = life.host.scribe.memory
+        memory = life.host.scribe.memory
+        self._lives[life.core.incarnation], self._memories[life.core.incarnation] = life, memory
+        if self._disks_of.setdefault(name, memory) != memory:
+            self._disks_of[name] = memory
+            self.reserved.lost_disk(member.id for member in life.core.team.on(life.core.here))
         tap(life, self)
 
     @property
     def calls(self) -> int:
         """How many calls began."""
-        return self._calls.begun + self._blocks.begun
+        return self._calls.begun + self._blocks.begun + self.reserved.begun.total()
 
     @property
     def restarts(self) -> int:
         """How many exceptions told a walker that it goes on elsewhere, or again."""
-        return self._calls.restarts + self._blocks.restarts
+        return self._calls.restarts + self._blocks.restarts + self.reserved.rounds["restarted"]
 
     def _newest_at(self, agent: str, when: float) -> int:
         """The last recovery of an agent that had gone on at that time, 0 for none."""
@@ -130,7 +145,7 @@ class Judge:
         """A number that is not new: of who had called nothing yet, or it tells nothing any more."""
         start = agent.id, agent.generation
         before = self._starts.get(start)
-        begun = any(of(*start) for of in (self._calls.any_of, self._blocks.any_of))
+        begun = any(of(*start) for of in (self._calls.any_of, self._blocks.any_of, self.reserved.any_of))
         moved = before and any(other.core.name != life.core.name for other in before.knew)
         if before and self.fleet.keeps and not moved and not begun:
             return
@@ -243,6 +258,8 @@ class Judge:
         for line in text.splitlines():
             if self._blocks.said(life, agent, line.split()) or " has thrown too: " in line:
                 continue
+            if self.reserved.said(life, agent, line.split()):
+                continue
             self._calls.said(life, agent, line)
 
     def told(self, life: Life, key: Key) -> None:
@@ -333,6 +350,7 @@ class Judge:
         """The weather is over: from now on everybody must get on."""
         self._calls.ended.clear()
         self._blocks.healed()
+        self.reserved.healed()
 
     def waits_for(self) -> list[str]:
         """The coordinators that may go on, and have not done so enough."""
@@ -344,7 +362,7 @@ class Judge:
         return {member.id: team.hosts[member.host] for member in team.coordinators}
 
     def _owed(self, agent: str) -> bool:
-        ended = self._calls.ended[agent] + self._blocks.closed[agent]
+        ended = self._calls.ended[agent] + self._blocks.closed[agent] + self.reserved.closed[agent]
         if agent in self._calls.over or ended >= ENOUGH:
             return False
         if agent in self.fleet.mission.fenced:

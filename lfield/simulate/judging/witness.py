@@ -5,14 +5,17 @@ The wires of one life are tapped, each where a shell or the machine calls it: no
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, Protocol
 
 from lfield.simulate.fleet import Life
 from lfield.vm.agent import Agent, Member
 from lfield.vm.begun import Key
+from lfield.vm.contract import Trap
 from lfield.wire.coordinators import Transfer
 from lfield.wire.framing import Buffer
+from lfield.wire.messages import Control
+from lfield.wire.reservations import Renew
 
 
 class Sees(Protocol):
@@ -44,6 +47,18 @@ class Sees(Protocol):
 
     def told(self, life: Life, key: Key) -> None:
         """The machine is told that the result of a call that was begun is kept."""
+
+    def given(self, life: Life, agent: Agent, resource: Member, number: int) -> None:
+        """A coordinator has reserved a resource here, by that number."""
+
+    def dropped(self, agent: Agent, held: Sequence[tuple[Member, int]]) -> None:
+        """A coordinator has given back what it had reserved."""
+
+    def asked(self, life: Life, agent: Agent, resource: Member, number: int, *, lost: bool) -> None:
+        """A coordinator calls what it has reserved by that number: it may, or has lost it."""
+
+    def renewed(self, message: Renew) -> None:
+        """A host hears of the holder of a resource that is here."""
 
 
 def tap(life: Life, sees: Sees) -> None:
@@ -104,6 +119,39 @@ def tap(life: Life, sees: Sees) -> None:
         (machine, start), (machine, admit), (machine, restore), (machine, resume), (machine, kept_result),
         (core, arrived), (core, run), (core.world, write), (core.world, log), (peers, send_transfer),
     ):  # fmt: skip
+        _tap(place, wire)
+    _tap_reservations(life, sees)
+
+
+def _tap_reservations(life: Life, sees: Sees) -> None:
+    core = life.core
+
+    def take(go: Callable[..., int], agent: Agent, resource: Member, *, nested: bool) -> int:
+        number = go(agent, resource, nested=nested)
+        if number:
+            sees.given(life, agent, resource, number)
+        return number
+
+    def drop(go: Callable[..., None], agent: Agent, held: Sequence[tuple[Member, int]]) -> None:
+        sees.dropped(agent, held)
+        go(agent, held)
+
+    def serves(go: Callable[..., bool], agent: Agent, resource: Member, number: int) -> bool:
+        try:
+            served = go(agent, resource, number)
+        except Trap:
+            sees.asked(life, agent, resource, number, lost=True)
+            raise
+        if served:
+            sees.asked(life, agent, resource, number, lost=False)
+        return served
+
+    def received(go: Callable[..., None], host: str, message: Control) -> None:
+        if isinstance(message, Renew):
+            sees.renewed(message)
+        go(host, message)
+
+    for place, wire in ((core.world, take), (core.world, drop), (core.world, serves), (core, received)):
         _tap(place, wire)
 
 

@@ -14,10 +14,10 @@ from functools import lru_cache
 from pathlib import Path
 
 from lfield.bytecode.program import Program
-from lfield.mission.bindings import USUAL_LEASE, Recovery
+from lfield.mission.bindings import USUAL_LEASE, USUAL_RESERVATION, Recovery, ReservationTimes
 from lfield.mission.load import load_mission
 from lfield.mission.mission import Mission
-from lfield.simulate.stories import crews
+from lfield.simulate.stories import crews, keepers
 from lfield.simulate.weather import Fault, Weather
 
 #: Every start of a coordinator draws a number; with its name that is its *life*.
@@ -108,8 +108,10 @@ DOUBTS, LIKELY_DOUBT = ("cut", "mute", "island", "stop", "kill"), 0.6
 OFTEN, DOUBTED = (2.0, 8.0), 8.0
 #: Seconds without a sign until a coordinator is recovered; how long a lease lasts.
 INTERVALS, LEASES = (1.0, 1.0, 1.0, 2.0, 4.0, 10.0), (1.0, 2.0, 2.0, 4.0)
-#: So many of the stories of hosts with journals are of crews.
-CREWS = 0.2
+#: So many of the stories of hosts with journals are of crews, and so many of those of keepers instead.
+CREWS, KEEPERS = 0.25, 0.5
+#: Seconds that a reservation of theirs lasts unheard, and that others wait for what is reserved.
+RESERVATIONS, RESERVED_WAITS = (1.0, 2.0, 4.0), (0.0, 0.5, 3.0, 10.0)
 #: Seconds that a disk takes: one of a laptop, and one of a small board on a memory card.
 DISKS = (0.002, 0.002, 0.05)
 
@@ -123,7 +125,8 @@ class Story:
     `cast` hosts and `weather` seconds; `keep` has the numbers of its faults that strike, None for all.
     `hosts` and `seconds` are what is left when a story is made smaller. With an `interval` a majority of the
     hosts may recover walkers, under leases of `lease`; then the last of them, `witnesses`, have no agents. A
-    walker `stays` where it is so many of 32 times.
+    walker `stays` where it is so many of 32 times. What it reserves is its own for `reservation` unheard, and
+    others wait `reserved_wait` for it.
     """
 
     seed: int
@@ -145,6 +148,8 @@ class Story:
     kind: str = "plain"
     witnesses: int = 0
     stays: int = STAYS
+    reservation: float = USUAL_RESERVATION
+    reserved_wait: float = 0.0
     keep: frozenset[int] | None = None
 
     @property
@@ -155,7 +160,9 @@ class Story:
             words.append(f"{self.interval:g}")
         posts = max(1, self.hosts - self.witnesses)
         team = self.hosts, posts, self.walkers, self.arms
-        return _mission(*team, "&".join(words), self.lease, crews.PROGRAM if self.kind == "crew" else PROGRAM)
+        program = PROGRAMS.get(self.kind, PROGRAM)
+        times = self.lease, self.reservation, self.reserved_wait
+        return _mission(*team, "&".join(words), *times, program)
 
     @property
     def forecast(self) -> list[Fault]:
@@ -179,7 +186,7 @@ def drawn(seed: int) -> Story:
     if not story.journals:
         return forgetful(seed)
     if random.Random(f"together {seed}").random() < CREWS:
-        return crew(seed)
+        return (keeper if random.Random(f"reserve {seed}").random() < KEEPERS else crew)(seed)
     dice = random.Random(f"kind {seed}")
     kind = dice.choice(KEPT)
     return KINDS[dice.choice(DOUBTFUL) if kind == "doubted" else kind](seed)
@@ -290,6 +297,23 @@ def crew(seed: int) -> Story:
     )
 
 
+def keeper(seed: int) -> Story:
+    """One of coordinators that reserve what they work with; a majority may recover some of them.
+
+    No clock in it is worse than leases allow for.
+    """
+    dice, story = random.Random(f"keeper {seed}"), crew(seed)
+    means = {kind: mean for kind, mean in story.means.items() if kind != "race"}
+    return replace(
+        story,
+        kind="keeper",
+        means=means,
+        walkers=dice.choice((2, 3)),
+        reservation=dice.choice(RESERVATIONS),
+        reserved_wait=dice.choice(RESERVED_WAITS),
+    )
+
+
 #: Stories by what becomes of their coordinators.
 KINDS: Mapping[str, Callable[[int], Story]] = {
     "plain": plain,
@@ -298,12 +322,23 @@ KINDS: Mapping[str, Callable[[int], Story]] = {
     "doubted": doubted,
     "parted": parted,
     "crew": crew,
+    "keeper": keeper,
 }
+#: What is flown where it is not the usual program.
+PROGRAMS = {"crew": crews.PROGRAM, "keeper": keepers.PROGRAM}
 
 
 @lru_cache(maxsize=256)
 def _mission(
-    hosts: int, posts: int, walkers: int, arms: int, words: str, lease: float, program: str
+    hosts: int,
+    posts: int,
+    walkers: int,
+    arms: int,
+    words: str,
+    lease: float,
+    reservation: float,
+    reserved_wait: float,
+    program: str,
 ) -> Mission:
     lines = [f"//Post:p{n}@h{n}" for n in range(posts)]
     lines += [f"//@h{n}" for n in range(posts, hosts)]
@@ -316,7 +351,8 @@ def _mission(
         deployment.write_text("\n".join([*lines, ""]), encoding="utf-8")
         mission = load_mission(deployment, simulate=True)
     # What hosts prepare of a program is as large as they are: one program is enough.
-    bindings = replace(mission.bindings, recovery=Recovery(lease))
+    times = ReservationTimes(reservation, reserved_wait)
+    bindings = replace(mission.bindings, recovery=Recovery(lease), reservations=times)
     return replace(
         mission, bindings=bindings, program=_PROGRAMS.setdefault(mission.program.digest, mission.program)
     )

@@ -179,7 +179,7 @@ class Answering(Desk):
     def offers(self, agent: Agent, capability: str, constraint: str | None) -> list[Found]:
         """As the world of a host does."""
         assert self.offering is not None
-        return self.offering.offers(capability, constraint)
+        return self.offering.offers(agent.id, capability, constraint)
 
 
 class FirstHost:

@@ -6,7 +6,7 @@ import pytest
 from directory_team import AGENTS, REGISTRY, Seat
 
 from lfield.capability.directory.directory import MOMENT
-from lfield.capability.directory.news import Condition, Trouble
+from lfield.capability.directory.news import Condition, Reserved, Trouble
 from lfield.host.telling.reports import Reports
 
 
@@ -143,6 +143,32 @@ def test_why_an_agent_cannot_be_called(seats):
     bravo.directory.own("arm2", Condition())
     tell(bravo, alpha, bravo.directory.news())
     assert alpha.candidate("arm2").refusal == ""
+
+
+def test_what_is_reserved_is_offered_to_its_holder_alone(seats):
+    alpha, bravo = seats
+    bravo.directory.own("arm2", Condition(reserved=Reserved("pilot", bravo.clock.monotonic() - 12.0)))
+    tell(bravo, alpha, bravo.directory.news())
+    assert bravo.directory.news() is None
+    for seat in seats:
+        assert seat.candidate("arm2").refusal == "reserved by pilot for 12 s"
+        seat.directory.asker = "pilot"
+        assert seat.candidate("arm2").refusal == ""
+        seat.directory.asker = "rover"
+        assert seat.candidate("arm2").refusal == "reserved by pilot for 12 s"
+    bravo.directory.own("arm2", Condition(reserved=Reserved("rover", bravo.clock.monotonic())))
+    tell(bravo, alpha, bravo.directory.news())
+    assert alpha.candidate("arm2").refusal == ""
+    bravo.directory.own("arm2", Condition())
+    tell(bravo, alpha, bravo.directory.news())
+    alpha.directory.asker = ""
+    assert alpha.candidate("arm2").refusal == ""
+
+
+def test_what_cannot_be_called_says_so_before_it_says_who_has_it(seats):
+    alpha, _ = seats
+    alpha.directory.own("arm1", Condition(Trouble("died of X"), reserved=Reserved("pilot", 0.0)))
+    assert alpha.candidate("arm1").refusal == "died of X"
 
 
 def test_a_host_that_was_away_catches_up_with_one_exchange(seats):

@@ -9,7 +9,7 @@ from directory_team import AGENTS, ATTRIBUTES, PROVIDERS, REGISTRY
 from hypothesis import given
 from hypothesis import strategies as st
 
-from lfield.capability.directory.news import Condition, News, Sample, Trouble
+from lfield.capability.directory.news import Condition, News, Reserved, Sample, Trouble
 from lfield.errors import WireError
 from lfield.host.telling.reports import Reports
 from lfield.wire.codec import decode, encode
@@ -35,6 +35,8 @@ REPORTS = st.builds(
             st.none() | AGE,
             st.lists(FACTS, max_size=4),
             st.lists(st.tuples(INDEX, TEXT), max_size=3),
+            TEXT,
+            AGE,
         ),
         max_size=4,
     ),
@@ -68,13 +70,15 @@ def test_whatever_comes_is_refused_or_fits(report):
 def test_times_become_ages_and_times_again(age, later, kept):
     # Whoever says that something will only be true later has a clock that went wrong; it is new, then.
     sample = Sample(0.5, 1000.0 - age, 1000.0, kept)
-    change = Condition(Trouble("fc: not heard", 1000.0), {"battery": sample}, {"mode": "x" * 1000})
+    held = Reserved("pilot", 990.0)
+    change = Condition(Trouble("fc: not heard", 1000.0), {"battery": sample}, {"mode": "x" * 1000}, held)
     reports = Reports(REGISTRY, AGENTS)
     report = through_the_wire(reports.write(News(7, 3, 4, {"arm2": change}), 1000.0 + later))
     news = reports.read("bravo", report, 50.0)
     assert (news.life, news.since, news.sequence) == (7, 3, 4)
     found = news.agents["arm2"]
     assert found.trouble == Trouble("fc: not heard", pytest.approx(50.0 - max(0.0, later)))
+    assert found.reserved == Reserved("pilot", pytest.approx(50.0 - max(0.0, 10.0 + later)))
     wanted = age if kept else max(0.0, age + later)
     assert found.samples["battery"] == Sample(0.5, pytest.approx(50.0 - wanted, abs=1e-9), 50.0, kept)
     assert len(found.unknown["mode"]) == 256

@@ -17,7 +17,18 @@ from lfield.cli.main import main
 from lfield.clock import ManualClock
 from lfield.journal.file import FileJournal
 from lfield.journal.opening import Owner
-from lfield.journal.pages import BegunPage, CopyPage, Fence, Page, Paused, ProgramPage, Run, Starts, Stopped
+from lfield.journal.pages import (
+    BegunPage,
+    CopyPage,
+    Fence,
+    Page,
+    Paused,
+    ProgramPage,
+    ReservationPage,
+    Run,
+    Starts,
+    Stopped,
+)
 from lfield.vm.inspect import dump
 
 DUMP = Path(__file__).parents[2] / "formats" / "dump-0.3.block"
@@ -169,6 +180,19 @@ def test_calls_that_were_begun_are_shown_with_what_became_of_them(tmp_path: Path
     damaged = inspect(tmp_path)
     assert damaged.status == 65
     assert "damaged: call 2 that was begun here by start 4 of boss, as of" in damaged.out
+
+
+def test_who_has_reserved_what_is_shown(tmp_path: Path) -> None:
+    made = journal(tmp_path)
+    asyncio.run(made.keep([ReservationPage("arm", 41, "boss", 4), ReservationPage("leg", 7)]))
+    made.close()
+    out = inspect(tmp_path).out
+    assert "reserved  arm, number 41: boss, start 4\n" in out
+    assert "reserved  leg, number 7: nobody\n" in out
+    sql(tmp_path, "UPDATE pages SET body = x'00' WHERE name = 'arm'")
+    damaged = inspect(tmp_path)
+    assert damaged.status == 65
+    assert "damaged: who has reserved arm, as of" in damaged.out
 
 
 def test_of_a_truncated_journal_is_shown_what_is_left(tmp_path: Path) -> None:

@@ -11,7 +11,16 @@ from msgspec.structs import replace
 from lfield.cli.views import picture
 from lfield.errors import AddressError
 from lfield.wire.coordinators import Known
-from lfield.wire.observing import AgentStatus, BegunStatus, DeviceStatus, LinkStatus, Status, Told, ToldFact
+from lfield.wire.observing import (
+    AgentStatus,
+    BegunStatus,
+    DeviceStatus,
+    LinkStatus,
+    ReservedStatus,
+    Status,
+    Told,
+    ToldFact,
+)
 
 pytestmark = pytest.mark.process
 
@@ -133,6 +142,7 @@ def test_all_that_a_host_tells_as_json_and_as_a_table(capsys):
             "paused": False,
             "journal": None,
             "begun": [],
+            "reserved": [],
             "moving": {"near.arm": "4 m up"},
             "directory": {
                 "near": {
@@ -179,6 +189,18 @@ def test_how_late_a_host_was_and_how_long_it_may_be_silent(capsys):
         ["alpha", "0.031", "s", "0.2", "s", "1.5", "s", "keeps", "nothing"],
         ["carol", "keeps", "nothing"],
     ]
+
+
+def test_what_is_reserved_and_for_how_long_yet(capsys):
+    reserved = [ReservedStatus("near", "tom", 2, 12.25, 4.5)]
+    status = Status("alpha", "127.0.0.1:1", 2.5, b"p" * 32, b"d" * 32, [], [], [], [], [], reserved=reserved)
+    told = json.loads(picture.as_json({"alpha": status}))
+    assert told["alpha"]["reserved"] == [
+        {"resource": "near", "agent": "tom", "generation": 2, "held": 12.25, "left": 4.5}
+    ]
+    picture.show({"alpha": status})
+    rows = [" ".join(line.split()) for line in capsys.readouterr().out.splitlines()]
+    assert rows[1] == "alpha tom has reserved near for 12 s, and 4 s yet"
 
 
 def test_what_was_begun_and_is_to_be_fetched(capsys):

@@ -90,6 +90,7 @@ class Lease:
 
     def __init__(self) -> None:
         self.bars: set[tuple[str, int]] = set()
+        self.team: Team
 
     def may_begin(self, agent: Walker) -> bool:
         return (agent.id, agent.generation) not in self.bars
@@ -97,12 +98,17 @@ class Lease:
     def barred(self, agent: str, generation: int) -> bool:
         return (agent, generation) in self.bars
 
+    def over(self, agent: str, generation: int) -> str:
+        why = f"no start of {agent} as early as this one may run any more"
+        return why if self.barred(agent, generation) else self.team.over(agent, generation)
+
 
 class Bench:
     """The pages of one host, with all that stands around them."""
 
     def __init__(self, *pages: BegunPage, keeps: bool = True) -> None:
         self.team, self.lease, self.machine = Team(), Lease(), Engine()
+        self.lease.team = self.team
         given: Any = self.team, self.lease, self.machine
         self.begun = BegunPages(MISSION, *given, ManualClock(), pages, keeps=keeps)
         self.begun.restore()

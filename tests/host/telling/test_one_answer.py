@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from types import SimpleNamespace
 
 import pytest
 from msgspec import msgpack
@@ -40,6 +41,8 @@ agents: {three: {payload: 5.0}}
 """
 BINDINGS = "agents: {two: {attributes: {payload: 3 kg, tools: [sling]}}}"
 TEAM = "//Hoist:one@a\n//Hoist:two@b\n//Hoist:three@b\n//Winch:drum@c\n//Foreman:foreman@a\n"
+#: A coordinator that has reserved nothing.
+NOBODY = SimpleNamespace(id="foreman")
 CONDITIONS = [
     None,
     "payload >= 2.5",
@@ -88,12 +91,12 @@ def test_from_outside_it_is_what_the_program_hears(fleet, condition):
             asked = Matcher(registry, from_hosts(registry, mission.team.deployed, told, (), name), ways)
             wish = compile_wish(condition or "true", registry.attributes)
             outside = asked.find("Lift", wish)
-            inside = running.host.core.world.offers(None, "Lift", condition or "true")
+            inside = running.host.core.world.offers(NOBODY, "Lift", condition or "true")
             heard = [found(offer, numbers, outside.count) for offer in outside.offers]
             assert [facts_of(offer) for offer in heard] == [facts_of(offer) for offer in inside]
             assert [offer.score for offer in heard] == [offer.score for offer in inside]
             why = render(asked.explain("Lift", wish.condition))
-            assert why in running.host.core.world.explain(None, "Lift", condition or "true")
+            assert why in running.host.core.world.explain(NOBODY, "Lift", condition or "true")
         assert inside or condition == "battery > 0.5 && tools == sling"
 
     fleet(story)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import re
+from types import SimpleNamespace
 
 import pytest
 
@@ -54,6 +55,8 @@ BINDINGS = (
     "agents: {near: {attributes: {payload: 1200 g, tools: [winch, sling]}}, far: {attributes: {mass: 8}}}"
 )
 TEAM = "//Hoist:near@alpha\n//Foreman:foreman@bravo\n//Hoist:far@bravo\n"
+#: A coordinator that has reserved nothing.
+NOBODY = SimpleNamespace(id="foreman")
 IDLE = "coordinator Foreman { init(string[] arg) { Lift[] who = findLift(); sleep(1000.0); } }"
 
 
@@ -87,7 +90,7 @@ async def hoists(team, program=IDLE, capabilities=CAPABILITIES):
 
 def facts_of(running, agent, condition=None):
     """What the offer of an agent says, as the coordinator sees it: texts or numbers, and sources."""
-    found = running.host.core.world.offers(None, "Lift", condition)
+    found = running.host.core.world.offers(NOBODY, "Lift", condition)
     offer = next(offer for offer in found if offer.agent == agent)
     values = zip(offer.names, offer.texts, offer.numbers, offer.sources, strict=True)
     return {name: (number if text is None else text, source) for name, text, number, source in values}
@@ -122,7 +125,7 @@ def test_a_portal_that_only_queries_feeds_an_attribute(fleet):
             assert near["level"] == (1.5, "measured")
             assert near["east"] == (2.0, "measured")
             assert "slowness" not in near
-            why = asked.host.core.world.explain(None, "Lift", "slowness > 0.0")
+            why = asked.host.core.world.explain(NOBODY, "Lift", "slowness > 0.0")
             assert "near: near has not reported slow()" in why
 
     fleet(story)
@@ -144,8 +147,8 @@ coordinator Foreman {
 
     async def story(team):
         alpha, _, _ = await hoists(team, program)
-        await team.until(lambda: "rope" in alpha.host.core.world.explain(None, "Lift", "level > 0.0"))
-        why = alpha.host.core.world.explain(None, "Lift", "level > 0.0")
+        await team.until(lambda: "rope" in alpha.host.core.world.explain(NOBODY, "Lift", "level > 0.0"))
+        why = alpha.host.core.world.explain(NOBODY, "Lift", "level > 0.0")
         assert "near: level() throws DeviceException: the rope is torn" in why
         await team.until(lambda: facts_of(alpha, "near").get("level") == (11.0, "measured"))
 

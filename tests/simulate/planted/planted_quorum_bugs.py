@@ -109,7 +109,7 @@ QUORUM_BUGS = [
     _bug(
         an_acknowledgement_without_the_fence,
         "a host that nobody heard for a while is given a lease by those who have barred what runs there",
-        79,
+        361,
     ),
     _bug(
         no_wait_after_the_promises,

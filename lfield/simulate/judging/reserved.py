@@ -1,0 +1,189 @@
+"""Who has what by a `reserve`, judged from the grants that the machine is given and the calls that begin.
+
+A number is on the disk of its host when it is told, and is higher than all before it of that resource, over
+restarts too. Whoever was told one is alone with the resource until it leaves its block, its start is over, or
+nothing was heard of it for a lease: nobody else is given it, no portal begins for anybody else, and it does
+not hear that it has lost it. No portal begins by a number that is not the last.
+"""
+
+from __future__ import annotations
+
+from collections import Counter, defaultdict
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+
+from lfield.journal.pages import CopyPage, Fence, Page, ReservationPage
+from lfield.simulate.fleet import Life
+from lfield.simulate.judging.breaches import Breaches
+from lfield.vm.agent import Agent, Member
+from lfield.vm.memory.layout import THREAD_ID
+from lfield.vm.memory.threads import threads
+from lfield.wire.reservations import Renew
+
+#: Of a lease so much passes at least in true time, whatever the clocks of the hosts do.
+SURELY = 0.97
+
+
+@dataclass(slots=True)
+class _Resource:
+    """The last number of a resource that was told, to whom, and until when that one is surely alone."""
+
+    number: int = 0
+    holder: tuple[str, int] = ("", 0)
+    until: float = 0.0
+
+
+class Reserved:
+    """The reservations of a team. `pages` gives what is on the disk of a host, and `lease` is in seconds.
+
+    `newest_at` says which recovery of an agent was the last to go on before a time.
+    """
+
+    def __init__(
+        self,
+        breaches: Breaches,
+        now: Callable[[], float],
+        lease: Callable[[], float],
+        newest_at: Callable[[str, float], int],
+        pages: Callable[[str], Iterable[Page] | None],
+    ) -> None:
+        self._breaches, self._now, self._lease = breaches, now, lease
+        self._newest_at, self._pages = newest_at, pages
+        self._resources: defaultdict[str, _Resource] = defaultdict(_Resource)
+        #: How many calls began, inside of blocks and outside; how rounds have ended; how many of each agent
+        #: have, since the weather.
+        self.begun: Counter[str] = Counter()
+        self.rounds: Counter[str] = Counter()
+        self.closed: Counter[str] = Counter()
+        self._begun_for: set[tuple[str, int]] = set()
+
+    def healed(self) -> None:
+        """The weather is over."""
+        self.closed.clear()
+
+    def lost_disk(self, resources: Iterable[str]) -> None:
+        """The host of these has a new disk, and knows nothing of what it has given."""
+        for name in resources:
+            self._resources.pop(name, None)
+
+    def any_of(self, agent: str, generation: int) -> bool:
+        """Whether a start of an agent has begun anything."""
+        return (agent, generation) in self._begun_for
+
+    def said(self, life: Life, agent: Agent, words: list[str]) -> bool:
+        """A program has written a line; whether it is about a reservation."""
+        match words:
+            case ["uses", who, _, how]:
+                self._uses(life, agent, who.partition(".")[0], how)
+            case ["quits", _, _, how]:
+                self.rounds[how] += 1
+                self.closed[agent.id] += 1
+            case _:
+                return False
+        return True
+
+    # --- what is seen of the machine ------------------------------------------------------------------
+
+    def given(self, life: Life, agent: Agent, resource: Member, number: int) -> None:
+        """A coordinator is told the number by which it has a resource from now on."""
+        known, start, host = self._resources[resource.id], (agent.id, agent.generation), (life.core.name,)
+        if number <= known.number:
+            found = (
+                f"{resource.id} was given by number {number} to {start}, and {known.number} was told before"
+            )
+            self._breaches.add("number", host, found)
+        pages = self._pages(life.core.name)
+        kept = ReservationPage(resource.id, number, *start)
+        if pages is not None and kept not in pages:
+            found = f"{agent.id} is told that it has {resource.id} by {number}, and that is on no disk"
+            self._breaches.add("given", host, found)
+        if self._is_alone(life, known, start):
+            found = f"{resource.id} is given to {start}, and {known.holder} has it"
+            self._breaches.add("reserved", host, found)
+        others = _callers(life, life.core.machine.agents[resource.id]).keys() - {agent.id}
+        if others:
+            found = f"{resource.id} is given to {start} while it works for {', '.join(sorted(others))}"
+            self._breaches.add("busy", host, found)
+        known.number, known.holder = max(number, known.number), start
+        known.until = self._now() + SURELY * self._lease()
+
+    def dropped(self, agent: Agent, held: Sequence[tuple[Member, int]]) -> None:
+        """A coordinator has left a block."""
+        for resource, number in held:
+            known = self._resources[resource.id]
+            if (known.holder, known.number) == ((agent.id, agent.generation), number):
+                known.until = 0.0
+
+    def asked(self, life: Life, agent: Agent, resource: Member, number: int, *, lost: bool) -> None:
+        """A coordinator that has a resource by a number is served, or has lost it."""
+        known, start = self._resources[resource.id], (agent.id, agent.generation)
+        if (known.holder, known.number) != (start, number):
+            return
+        if lost and self._now() < known.until:
+            found = f"{agent.id} is told that it has lost {resource.id}, and nobody could take it"
+            self._breaches.add("robbed", (life.core.name,), found)
+        elif not lost:
+            known.until = max(known.until, self._now() + SURELY * self._lease())
+
+    def renewed(self, message: Renew) -> None:
+        """A host hears of who has a resource of it."""
+        known = self._resources[message.resource]
+        if (known.holder, known.number) != ((message.agent, message.generation), message.number):
+            return
+        if self._now() < known.until:
+            known.until = self._now() + SURELY * self._lease()
+
+    # --- what resources say ---------------------------------------------------------------------------
+
+    def _uses(self, life: Life, resource: Agent, name: str, how: str) -> None:
+        self.begun[how] += 1
+        known, host = self._resources[resource.id], (life.core.name,)
+        generation = max(_callers(life, resource).get(name, ()), default=0)
+        if not generation:
+            # It was taken from its caller before it came to its first line.
+            return
+        start = name, generation
+        self._begun_for.add(start)
+        if self._is_alone(life, known, start):
+            found = f"a portal of {resource.id} began for {start}, and {known.holder} has it"
+            self._breaches.add("reserved", host, found)
+        if how != "inside":
+            return
+        agent = life.core.machine.agents.get(name)
+        held = life.core.machine.held(agent) if agent is not None and agent.generation == generation else ()
+        number = next((number for member, number in held if member.id == resource.id), 0)
+        if (known.holder, known.number) != (start, number):
+            found = f"a portal of {resource.id} began for {start} by {number}, not {known.number}"
+            self._breaches.add("stale", host, found)
+
+    def _is_alone(self, life: Life, known: _Resource, other: tuple[str, int]) -> bool:
+        """Whether somebody has a resource of a host surely, so that another one must not."""
+        (agent, generation), now = known.holder, self._now()
+        if not agent or agent == other[0] or now >= known.until:
+            return False
+        if generation < self._newest_at(agent, now):
+            return False
+        pages = self._pages(life.core.name) or ()
+        return not any(_is_over(page, agent, generation) for page in pages) and not life.core.mobility.over(
+            agent, generation
+        )
+
+
+def _is_over(page: Page, agent: str, generation: int) -> bool:
+    """Whether a host knows from its disk that a start acts no more."""
+    match page:
+        case Fence():
+            return page.agent == agent and generation < page.generation
+        case CopyPage():
+            return (page.agent, page.generation, page.state) == (agent, generation, "EXITED")
+    return False
+
+
+def _callers(life: Life, resource: Agent) -> dict[str, set[int]]:
+    """The agents that a resource works for now, each with its starts."""
+    block, machine = resource.block, life.core.machine
+    found: dict[str, set[int]] = {}
+    for place in threads(block):
+        if caller := machine.caller(resource, block.w[place + THREAD_ID]):
+            found.setdefault(caller.id, set()).add(caller.generation)
+    return found

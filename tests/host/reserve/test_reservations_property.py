@@ -1,0 +1,256 @@
+"""Reservations under all that can happen to them in any order, crashes of their host included.
+
+What is promised is judged from what was asked and told, not from what the core keeps. The same test is run on
+cores broken on purpose, to show that it can fail.
+"""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import HealthCheck, Phase, settings
+from hypothesis import strategies as st
+from hypothesis.stateful import RuleBasedStateMachine, precondition, rule, run_state_machine_as_test
+
+from lfield.host.team.reservations import Effect, Let, Refuse, Refused, Reservations, Start, Write
+
+LEASE, WAIT = 6.0, 5.0
+starts = st.tuples(st.sampled_from(["pilot", "rover", "scout"]), st.integers(1, 2))
+
+
+class Reserving(RuleBasedStateMachine):
+    """One resource. A coordinator has what it was told until its lease is over, it gives it back or ends."""
+
+    core_type = Reservations
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.now, self.first = 0.0, 100
+        #: What is on the disk, and what is on its way there.
+        self.disk: Write | None = None
+        self.pages: list[Write] = []
+        self.busy: set[str] = set()
+        #: The numbers that were told, and who was promised the resource, until when.
+        self.told: dict[int, Start] = {}
+        self.promised: tuple[Start, int, float] | None = None
+        self.waiting: dict[Start, float] = {}
+        self.asked: dict[Start, str] = {}
+        self.core = self._made()
+
+    def _made(self) -> Reservations:
+        return self.core_type(self.first, LEASE, lambda _: WAIT, lambda _, agent: bool(self.busy - {agent}))
+
+    # --- what happens ---------------------------------------------------------------------------------
+
+    @rule(start=starts, nested=st.booleans())
+    def take(self, start: Start, nested: bool) -> None:
+        if self.asked.get(start, "take") != "take":
+            return
+        try:
+            number = self.core.take(start, "arm", self.now, nested=nested)
+        except Refused:
+            self._goes_on(start)
+            self._carry_out()
+            return
+        self._carry_out()
+        if number:
+            self._is_told(start, number)
+        elif not nested:
+            self._waits(start, "take")
+
+    def _waits(self, start: Start, wants: str) -> None:
+        """Frozen where it stands, so it asks for nothing else."""
+        self.asked[start] = wants
+        self.waiting.setdefault(start, self.now)
+
+    def _goes_on(self, start: Start) -> None:
+        self.waiting.pop(start, None)
+        self.asked.pop(start, None)
+
+    def _is_told(self, start: Start, number: int) -> None:
+        self._goes_on(start)
+        assert self.disk is not None
+        assert (self.disk.number, self.disk.holder) == (number, start)
+        assert number > max(self.told, default=0)
+        self._nobody_else_has_it(start)
+        assert not self.busy - {start[0]} or self.told.get(number - 1, ("", 0))[0] == start[0]
+        self.told[number] = start
+        self.promised = start, number, self.now + LEASE
+
+    def _nobody_else_has_it(self, start: Start) -> None:
+        if self.promised is not None and self.now < self.promised[2]:
+            holder = self.promised[0]
+            later = holder[0] == start[0] and holder[1] <= start[1]
+            assert later, f"{holder} has it, and {start} gets it"
+
+    @rule(start=starts, number=st.integers(0, 3))
+    def call(self, start: Start, number: int) -> None:
+        """With one of the last numbers, or none."""
+        if self.asked.get(start, "call") != "call":
+            return
+        given = sorted(self.told)[-number] if 0 < number <= len(self.told) else 0
+        try:
+            begins = self.core.serves(start, "arm", given, self.now)
+        except Refused:
+            self._goes_on(start)
+            begins = None
+        self._carry_out()
+        if begins:
+            self._begins(start, given)
+        elif begins is False:
+            self._waits(start, "call")
+
+    def _begins(self, start: Start, given: int) -> None:
+        self._goes_on(start)
+        if given:
+            assert self.promised is not None
+            assert self.promised[:2] == (start, given)
+            assert self.now < self.promised[2]
+            self.promised = start, given, self.now + LEASE
+            return
+        if self.promised is not None and self.promised[0] != start:
+            assert self.now >= self.promised[2]
+        self.promised = None
+
+    @rule(start=starts, back=st.integers(1, 2))
+    def renew(self, start: Start, back: int) -> None:
+        if len(self.told) >= back:
+            number = sorted(self.told)[-back]
+            self.core.renew(start, "arm", number, self.now)
+            self._carry_out()
+            if self.promised and self.promised[:2] == (start, number) and self.now < self.promised[2]:
+                self.promised = start, number, self.now + LEASE
+
+    @rule(back=st.integers(1, 2))
+    def release(self, back: int) -> None:
+        if len(self.told) >= back:
+            number = sorted(self.told)[-back]
+            if self.promised and self.promised[1] == number:
+                self.promised = None
+            self.core.release("arm", number, self.now)
+            self._carry_out()
+
+    @rule(start=starts)
+    def ends(self, start: Start) -> None:
+        self._goes_on(start)
+        if self.promised and self.promised[0] == start:
+            self.promised = None
+        self.core.over(start, "it has ended", self.now)
+        self._carry_out()
+
+    @rule(start=starts)
+    def gives_up(self, start: Start) -> None:
+        self._goes_on(start)
+        self.core.give_up(start, self.now)
+        self._carry_out()
+
+    @rule(agent=st.sampled_from(["pilot", "rover"]), begins=st.booleans())
+    def works(self, agent: str, begins: bool) -> None:
+        """Portal calls begin while nobody has it, and come to their ends."""
+        self.busy = {agent} if begins and not self.core.held else set()
+
+    @precondition(lambda self: self.pages)
+    @rule()
+    def sync(self) -> None:
+        for page in self.pages:
+            self.disk = page
+            if page.holder is not None:
+                self.core.written("arm", page.number, self.now)
+        self.pages.clear()
+        self._carry_out()
+
+    @rule(seconds=st.sampled_from([0.1, 1.0, 3.0, 7.0]))
+    def time(self, seconds: float) -> None:
+        until, ticks = self.now + seconds, 0
+        while self.core.due is not None and self.core.due <= until:
+            self.now = max(self.now, self.core.due)
+            self.core.tick(self.now)
+            self._carry_out()
+            ticks += 1
+            assert ticks < 100, "it is due again and again"
+        self.now = until
+        self.core.tick(self.now)
+        self._carry_out()
+        held = self.core.held.get("arm")
+        if held is not None and self.promised is not None and held.number == self.promised[1]:
+            assert self.now < self.promised[2], f"{held.holder} has it after its lease"
+        for start, since in self.waiting.items():
+            pending = any(page.holder == start for page in self.pages)
+            assert pending or self._is_next(start) or self.now < since + WAIT + 0.01, (
+                f"{start} waits for ever"
+            )
+
+    def _is_next(self, start: Start) -> bool:
+        return start in [holder for _, holder in self.core.unwritten]
+
+    @rule()
+    def crash(self) -> None:
+        self.pages.clear()
+        self.waiting.clear()
+        self.asked.clear()
+        self.busy.clear()
+        self.core = self._made()
+        if self.disk is not None:
+            self.core.restore("arm", self.disk.number, self.disk.holder, self.now)
+            self.promised = None
+        if self.disk is not None and self.disk.holder is not None:
+            self.told[self.disk.number] = self.disk.holder
+            self.promised = self.disk.holder, self.disk.number, self.now + LEASE
+
+    # --- what comes of it -----------------------------------------------------------------------------
+
+    def _carry_out(self) -> None:
+        for effect in self.core.take_effects():
+            self._one(effect)
+
+    def _one(self, effect: Effect) -> None:
+        match effect:
+            case Write():
+                self.pages.append(effect)
+                if effect.holder and self.promised and effect.holder[0] == self.promised[0][0]:
+                    # A later start takes over, also when it does not wait for the number then.
+                    self.promised = None
+            case Refuse() | Let():
+                self._goes_on(effect.start)
+
+
+class ToldBeforeItIsKept(Reservations):
+    def take(self, start: Start, resource: str, now: float, *, nested: bool) -> int:
+        number = super().take(start, resource, now, nested=nested)
+        found = self._resources[resource]
+        if found.holder == start and not number:
+            self.written(resource, found.number, now)
+            number = super().take(start, resource, now, nested=nested)
+        return number
+
+
+class NoWaitAfterARestart(Reservations):
+    def restore(self, resource: str, number: int, holder: Start | None, now: float) -> None:
+        super().restore(resource, number, None, now)
+
+
+class NumbersBeginAgain(Reservations):
+    def restore(self, resource: str, number: int, holder: Start | None, now: float) -> None:
+        """Nothing is known of it."""
+
+
+REPEATABLE = settings(
+    derandomize=True,
+    deadline=None,
+    max_examples=100,
+    stateful_step_count=40,
+    suppress_health_check=list(HealthCheck),
+)
+QUICK = settings(REPEATABLE, phases=[Phase.generate], max_examples=2000)
+
+
+def test_nobody_has_what_another_has() -> None:
+    run_state_machine_as_test(Reserving, settings=REPEATABLE)
+
+
+@pytest.mark.parametrize("broken", [ToldBeforeItIsKept, NoWaitAfterARestart, NumbersBeginAgain])
+def test_what_is_broken_is_found(broken: type[Reservations]) -> None:
+    class Broken(Reserving):
+        core_type = broken
+
+    with pytest.raises(AssertionError):
+        run_state_machine_as_test(Broken, settings=QUICK)

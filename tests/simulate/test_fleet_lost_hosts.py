@@ -1,0 +1,133 @@
+"""Calls of a host that is away: how long they wait for it, and what they are told."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+from lfield.mission.load import load_mission
+from lfield.simulate.fleet import Fleet
+
+PROGRAM = """
+resource Post {
+    init(string[] arg) { }
+    portal look() emit int { return 1; }
+    portal stay(real seconds) emit int { sleep(seconds); return 7; }
+}
+coordinator Walker {
+    init(string[] arg) {
+        Post near = findPost("near");
+        Post far = findPost("far");
+        print("met " + i2s(far.look()) + i2s(near.look()));
+        sleep(s2f(arg[1]));
+        print("asks");
+        //call
+        print("over");
+    }
+}
+"""
+CALL = """
+        try {
+            print("got " + i2s(far.look()));
+        } catch (UnreachableResourceException e) {
+            print("threw " + e.message());
+        }
+"""
+BEGUN = """
+        int[] got = new int[1];
+        try {
+            together { got[0] = far.stay(s2f(arg[2])); near.stay(s2f(arg[3])); }
+            print("got " + i2s(got[0]));
+        } catch (UnreachableResourceException e) {
+            print("threw " + e.message());
+        }
+"""
+TEAM = "//Post:near@alpha\n//Post:far@bravo\n//Walker:w@alpha?{0}\n"
+
+
+def fleet_of(folder: Path, words: str, call: str = CALL) -> Fleet:
+    (folder / "mission.L").write_text(PROGRAM.replace("//call", call))
+    (folder / "mission.dL").write_text(TEAM.format(words))
+    return Fleet(load_mission(folder / "mission.dL"), seed=3)
+
+
+def said(fleet: Fleet, word: str) -> tuple[float, str]:
+    """When a line that begins so was printed first, and how it goes on."""
+    for at, _, text in fleet.log:
+        line = text.strip().removeprefix("w: ")
+        if line == word or line.startswith(f"{word} "):
+            return at, line.removeprefix(word).strip()
+    raise AssertionError(f"nobody said {word}: {fleet.log}")
+
+
+def start_of(fleet: Fleet) -> None:
+    fleet.run(1.0)
+    assert said(fleet, "met")
+
+
+@pytest.mark.parametrize("end", ["crash", "power_off"])
+def test_a_host_that_was_killed_seven_seconds_ago_is_not_waited_for(tmp_path, end):
+    fleet = fleet_of(tmp_path, "12.0")
+    start_of(fleet)
+    met = said(fleet, "met")[0]
+    fleet.run(met + 5.0 - (3.0 if end == "power_off" else 0.0) - fleet.now)
+    getattr(fleet, end)("bravo")
+    fleet.run(20.0)
+    (asked, _), (threw, why) = said(fleet, "asks"), said(fleet, "threw")
+    assert threw - asked < 0.1
+    before, seconds, after = re.split(r"([\d.]+)", why)
+    assert before == "bravo could not be reached: there has been no link for "
+    assert 6.0 < float(seconds) < 8.0
+    assert after == " s; is it up?"
+
+
+def test_the_time_of_a_host_that_is_away_is_counted_from_the_end_of_its_link(tmp_path):
+    fleet = fleet_of(tmp_path, "5.0")
+    start_of(fleet)
+    met = said(fleet, "met")[0]
+    fleet.run(max(0.0, met + 2.0 - fleet.now))
+    fleet.crash("bravo")
+    killed = fleet.now
+    fleet.run(20.0)
+    (asked, _), (threw, why) = said(fleet, "asks"), said(fleet, "threw")
+    assert asked - killed < 5.0
+    assert threw - killed == pytest.approx(10.0, abs=0.3)
+    assert why == "bravo could not be reached within 10 s; is it up?"
+
+
+def test_a_host_that_comes_back_in_time_is_called(tmp_path):
+    fleet = fleet_of(tmp_path, "5.0")
+    start_of(fleet)
+    fleet.run(3.0)
+    fleet.cut("alpha", "bravo")
+    fleet.run(4.0)
+    fleet.heal("alpha", "bravo")
+    fleet.run(5.0)
+    assert said(fleet, "got")[1] == "1"
+
+
+def test_a_host_that_has_ended_for_certain_is_not_waited_for(tmp_path):
+    fleet = fleet_of(tmp_path, "6.0")
+    start_of(fleet)
+    fleet.run(4.0)
+    fleet.crash("bravo")
+    alpha = fleet.lives["alpha"]
+    alpha.process.loop.enter(lambda: alpha.host.reaped("bravo"))
+    fleet.run(10.0)
+    (asked, _), (threw, why) = said(fleet, "asks"), said(fleet, "threw")
+    assert threw - asked < 0.1
+    assert why == "bravo could not be reached: it has ended"
+
+
+def test_what_was_begun_on_a_host_that_is_away_is_waited_for(tmp_path):
+    fleet = fleet_of(tmp_path, "0.1&7.0&1.0", BEGUN)
+    start_of(fleet)
+    asked = said(fleet, "asks")[0]
+    fleet.run(max(0.0, asked + 0.5 - fleet.now))
+    fleet.cut("alpha", "bravo")
+    fleet.run(asked + 12.0 - fleet.now)
+    fleet.heal("alpha", "bravo")
+    fleet.run(5.0)
+    assert said(fleet, "got")[1] == "7"
