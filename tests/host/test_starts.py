@@ -110,7 +110,9 @@ def test_a_host_that_was_reaped_is_not_waited_for(fleet):
         await asyncio.sleep(5.0)
         home.host.reaped("nobody we know")
         home.host.reaped("away")
-        await team.until(lambda: home.holds("guest"))
+        # It begins, and does not wait either for the resource that was there.
+        assert await team.ended("guest") == "died"
+        assert "away could not be reached: it has ended" in home.log
 
     fleet(story)
 

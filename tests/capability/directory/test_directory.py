@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import pytest
-from directory_team import AGENTS, REGISTRY, Seat
+from directory_team import AGENTS, REGISTRY, SPAN, Seat
 
 from lfield.capability.directory.directory import MOMENT
 from lfield.capability.directory.news import Condition, Reserved, Trouble
+from lfield.capability.directory.showing import place_of
+from lfield.capability.model import Attribute
+from lfield.capability.offer import Candidate, Fact
 from lfield.host.telling.reports import Reports
 
 
@@ -226,3 +229,20 @@ def test_a_host_that_never_had_anything_to_tell_says_nothing(seats):
     _, bravo = seats
     assert bravo.directory.news() is None
     assert bravo.directory.everything() is None
+
+
+def test_a_host_is_where_its_pose_says_unless_an_agent_of_it_measures_its_place() -> None:
+    attributes = {
+        "north": Attribute("north", "real", SPAN, live=True, max_age=2.0),
+        "east": Attribute("east", "real", SPAN),
+    }
+
+    def at(facts, unknown):
+        one = Candidate("rover", "Rover", "alpha", 0, "", facts, unknown)
+        return place_of([one], attributes, (5.0, 6.0, 0.0))
+
+    assert at({}, {}) == (5.0, 6.0, 0.0)
+    assert at({}, {"north": "fc has not reported position"}) is None
+    assert at({"north": Fact(1.0, 3.0, "measured"), "east": Fact(2.0)}, {}) is None
+    assert at({"north": Fact(1.0, 1.0, "measured"), "east": Fact(2.0)}, {}) == (1.0, 2.0, None)
+    assert place_of([], attributes, (5.0, 6.0, 0.0)) == (5.0, 6.0, 0.0)

@@ -11,9 +11,10 @@ from msgspec import msgpack
 from lfield.capability.matching.explain import render
 from lfield.capability.matching.expression import compile_wish
 from lfield.capability.matching.matcher import Matcher
+from lfield.capability.model import ANYBODY
 from lfield.host.offers import found
 from lfield.manifest import Observation
-from lfield.operator.query import from_hosts, read_asked
+from lfield.operator.query import from_files, from_hosts, read_asked
 from lfield.wire.observing import Status
 
 PROGRAM = """
@@ -98,6 +99,62 @@ def test_from_outside_it_is_what_the_program_hears(fleet, condition):
             why = render(asked.explain("Lift", wish.condition))
             assert why in running.host.core.world.explain(NOBODY, "Lift", condition or "true")
         assert inside or condition == "battery > 0.5 && tools == sling"
+
+    fleet(story)
+
+
+PLACED = """
+resource Hoist {
+    init(string[] arg) { }
+    portal lift(real height) emit real { return height; }
+    portal lower(real height) emit real { return height; }
+}
+coordinator Foreman {
+    init(string[] arg) { sleep(2.0); Lift[] all = findLift(); reserve (all[0]) { sleep(1000.0); } }
+}
+"""
+PLACES = """
+hosts:
+  a: {frame: {north: 0, east: 0}}
+  b: {frame: {north: 40, east: 0}}
+  desk: {frame: {north: 100, east: 0}}
+agents: {three: {frame: {north: 90, east: 0}}}
+"""
+
+
+@pytest.mark.parametrize(
+    ("at", "nearest"), [("desk", ["three", "two", "one"]), ("a", ["one", "two", "three"])]
+)
+def test_places_by_the_devices_file_and_what_is_reserved_count_from_both_places(fleet, at, nearest):
+    """Nobody of the desk has a place of its own, so it is where its pose says; the best one is reserved."""
+
+    async def story(team):
+        placed = "//Hoist:one@a\n//Hoist:two@b\n//Hoist:three@b\n//Foreman:foreman@desk\n"
+        capabilities = "registry: 1\nproviders: {Hoist: {serves: {Lift: {}}}}\n"
+        mission = team.mission(PLACED, placed, PLACES, capabilities=capabilities, simulate=True)
+        files = read_asked(team.folder / "mission.dL", mission.team)
+        registry, pose, deployed = files.registry, files.frames.place(at), mission.team.deployed
+
+        def asked(roster):
+            matcher = Matcher(registry, roster, files.ways)
+            return matcher.find("Lift", ANYBODY).offers, render(matcher.explain("Lift", ANYBODY.condition))
+
+        offers, _ = asked(from_files(registry, deployed, at, files.stated, pose))
+        assert [offer.agent for offer in offers] == nearest
+        hosts = {name: team.make(mission, name) for name in ("a", "b", "desk")}
+        await asyncio.gather(*(running.host.start() for running in hosts.values()))
+        await asyncio.sleep(6.0)
+        world = hosts[at].host.core.world
+        status = msgpack.decode(msgpack.encode(hosts[at].host.status()), type=Status)
+        told = {at: {one.agent: one for one in status.directory}}
+        offers, why = asked(from_hosts(registry, deployed, told, (), at, pose))
+        inside = world.offers(SimpleNamespace(id="somebody"), "Lift", None)
+        assert [(o.agent, o.score) for o in offers] == [(o.agent, o.score) for o in inside]
+        assert [offer.agent for offer in offers] == [agent for agent in nearest if agent != "three"]
+        assert why.startswith("three: reserved by foreman for ")
+        assert [offer.agent for offer in world.offers(NOBODY, "Lift", None)] == nearest
+        teams = world.teams(SimpleNamespace(id="somebody"), "Lift", None, 3)
+        assert (teams, len(world.teams(NOBODY, "Lift", None, 3))) == ([], 1)
 
     fleet(story)
 

@@ -245,3 +245,17 @@ def test_what_two_files_state_is_said(fleet):
         ]
 
     fleet(story)
+
+
+def test_a_frame_and_a_binding_that_state_one_place_are_told(fleet):
+    async def story(team):
+        pose = "frame: {north: 4, east: 2}"
+        bindings = f"agents: {{near: {{{pose}}}, far: {{{pose}, attributes: {{north: 5.0}}}}}}"
+        capabilities = CAPABILITIES.replace('      east: "place()[1]"\n', "")
+        mission = team.mission(HOISTS + IDLE, TEAM, bindings, capabilities=capabilities, simulate=True)
+        assert [w for w in mission.warnings if "stated" in w] == [
+            "north of far is stated in the devices file and by its frame there, which counts"
+        ]
+        assert mission.stated.agents["far"]["north"] == 4.0
+
+    fleet(story)
