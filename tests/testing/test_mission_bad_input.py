@@ -110,6 +110,41 @@ def test_a_host_that_is_gone_can_be_killed_and_stopped(pumps):
     assert [mark.words for mark in team.marks] == ["alpha is killed", "alpha is switched off"]
 
 
+@pytest.mark.parametrize(
+    "ask",
+    [
+        lambda team: team.run(1.0),
+        lambda team: team.at(99.0, print),
+        lambda team: team.when("pumps.L:6", print),
+        lambda team: team.fake("pump.m"),
+        lambda team: team.cut("alpha", "bravo"),
+        lambda team: team.heal("alpha", "bravo"),
+        lambda team: team.crash("alpha"),
+        lambda team: team.power_off("alpha"),
+        lambda team: team.boot("alpha"),
+        lambda team: team.stop(),
+        lambda team: team.pause(),
+        lambda team: team.resume(),
+    ],
+)
+def test_a_team_that_is_closed_refuses_everything(pumps, ask):
+    team = pumps()
+    team.close()
+    with pytest.raises(MissionTestError, match=r"^this team is closed, and only tells what it has recorded"):
+        ask(team)
+    assert not team._fleet.lives
+
+
+def test_what_a_team_has_recorded_is_there_when_it_is_closed(pumps):
+    team = pumps()
+    team.run(70.0)
+    team.close()
+    team.close()
+    assert team.ended == {"boss": "done"}
+    assert (team.said("got 3"), len(team.calls), team.now) == (1, 1, 70.0)
+    assert len(team.hops) == 1
+
+
 @pytest.mark.parametrize("ways", ["double", "at", "until"])
 def test_nobody_runs_the_team_within_a_run(pumps, ways):
     def again(litres: int = 0) -> int:

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import pytest
 
-from lfield.errors import RealEndpoint
+from lfield.errors import MissionTestError, RealEndpoint
 from lfield.testing.mission.team import Team
 
 PROGRAM = "coordinator Boss { init(string[] arg) { while (true) sleep(1.0); } }"
@@ -233,6 +233,72 @@ def test_nor_by_the_loop_that_a_driver_runs_in(still, deed, said):
     still.at(0.5, lambda: life.process.loop.enter(lambda: life.process.loop.create_task(silently())))
     with pytest.raises(RealEndpoint, match=f"it wanted to {said}"):
         still.run(1.0)
+
+
+@pytest.fixture
+def door():
+    """A door at which somebody listened before there was a team; who has knocked is accepted at once."""
+    with socket.socket() as one:
+        one.bind(("127.0.0.1", 0))
+        one.listen()
+        one.setblocking(False)
+        yield one
+
+
+def has_been_knocked_at(door: socket.socket) -> bool:
+    try:
+        door.accept()[0].close()
+    except BlockingIOError:
+        return False
+    return True
+
+
+REACHES_OUT = """
+import socket
+try:
+    socket.create_connection(("127.0.0.1", {port})).close()
+except Exception:
+    pass
+"""
+
+
+def test_nor_while_a_mission_is_loaded_by_the_package_of_a_driver(
+    door, tmp_path, monkeypatch, lfield_mission
+):
+    (tmp_path / "eager_driver.py").write_text(REACHES_OUT.format(port=door.getsockname()[1]))
+    told = tmp_path / "eager-1.0.dist-info"
+    told.mkdir()
+    (told / "METADATA").write_text("Metadata-Version: 2.1\nName: eager\nVersion: 1.0\n")
+    (told / "entry_points.txt").write_text("[lfield.drivers.v1]\neager = eager_driver:PLUGIN\n")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    (tmp_path / "still.L").write_text(PROGRAM)
+    (tmp_path / "still.dL").write_text("//Boss:boss@alpha\n")
+    with pytest.raises(pytest.fail.Exception, match="it wanted to reach"):
+        lfield_mission(tmp_path / "still.dL")
+    assert not has_been_knocked_at(door)
+
+
+def test_nor_while_a_double_is_looked_at(door, tmp_path, lfield_mission):
+    class Eager:
+        @property
+        def live_attributes(self) -> dict[str, object]:
+            socket.create_connection(door.getsockname()).close()
+            return {}
+
+    (tmp_path / "post.L").write_text("resource Post { init(string[] arg) { } }\n" + PROGRAM)
+    (tmp_path / "post.dL").write_text("//Post:post@alpha\n//Boss:boss@alpha\n")
+    with pytest.raises(pytest.fail.Exception, match="it wanted to reach"):
+        lfield_mission(tmp_path / "post.dL", doubles={"post": Eager()})
+    assert not has_been_knocked_at(door)
+    bound()
+
+
+def test_nor_by_a_team_that_is_closed_meanwhile(still):
+    still.at(0.5, still.close)
+    with pytest.raises(MissionTestError, match="cannot close the team"):
+        still.run(1.0)
+    with pytest.raises(RealEndpoint):
+        bound()
 
 
 def test_nor_by_the_test_itself_its_conditions_and_its_threads(still):

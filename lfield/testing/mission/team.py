@@ -13,9 +13,9 @@ from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 from types import MappingProxyType, SimpleNamespace
-from typing import NamedTuple, cast
+from typing import cast
 
-from lfield.errors import MissionTestError, RealEndpoint, Stuck
+from lfield.errors import MissionTestError, Stuck
 from lfield.mission.load import load_mission
 from lfield.net.transport import Link
 from lfield.simulate.fleet import Fleet, Life
@@ -27,7 +27,7 @@ from lfield.testing.mission.fence import Fence
 from lfield.testing.mission.patience import Held, Patience
 from lfield.testing.mission.picture import Mark
 from lfield.testing.mission.standing import standing
-from lfield.testing.mission.watching import Hop, Hops, Lines, Point, Tracks
+from lfield.testing.mission.watching import Hop, Hops, Line, Lines, Point, Tracks
 from lfield.wire.messages import Control
 from lfield.wire.observing import Pause
 
@@ -51,14 +51,6 @@ LAST_WORDS = 5
 _PERSON = cast(Link, SimpleNamespace(peer="the test", send=lambda message: None))
 
 
-class Line(NamedTuple):
-    """A line of the log or of a program: seconds, host, text."""
-
-    at: float
-    host: str
-    text: str
-
-
 class Team:
     """The team of the deployment `path`; see the module. Close it when it is done with.
 
@@ -77,23 +69,24 @@ class Team:
         keeps: bool = True,
     ) -> None:
         doubles = asked.doubles(doubles)
-        mission = self.mission = load_mission(path, simulate=True, doubled=doubles)
-        self._fakes, self._doubles = Fakes(asked.wrong(fakes), self._mark), Doubles(mission, doubles)
+        self._fakes = Fakes(asked.wrong(fakes), self._mark)
         #: How coordinators ended, with the start that did: hosts that are gone tell it no more.
         self._outcomes: dict[str, tuple[int, str]] = {}
         #: What the test has done to the team, for its picture.
         self.marks: list[Mark] = []
-        self._team_hosts = frozenset(mission.team.hosts)
         #: The hosts that the test has ended.
         self._away: set[str] = set()
         self._calls, self._hops = Calls(lambda: self.now), Hops(lambda: self.now)
-        self._lines = Lines(mission.program, lambda seconds, event: self._fleet.later(seconds, event))
         #: Words that somebody shall say, and how much of the log was looked at for them.
         self._awaited, self._read = "", 0
-        self._runs = False
+        self._runs = self._is_closed = False
         self._fence = Fence()
         try:
             with self._running(), self._patiently():
+                mission = self.mission = load_mission(path, simulate=True, doubled=doubles)
+                self._doubles = Doubles(mission, doubles)
+                self._raise_caught()
+                self._lines = Lines(mission.program, lambda after, event: self._fleet.later(after, event))
                 self._fleet = Fleet(
                     mission,
                     asked.seed(seed),
@@ -163,7 +156,7 @@ class Team:
             self._fleet.run(LOOK)
             if self._awaited and not over and self._have_ended:
                 over, end = True, min(end, self.now + AFTERWARDS)
-            if gone := self._team_hosts - self._fleet.lives.keys() - self._away:
+            if gone := self._fleet.computers.keys() - self._fleet.lives.keys() - self._away:
                 name = min(gone)
                 raise Stuck(f"{why}, and {name} has ended by itself", self._last_words(name))
 
@@ -175,9 +168,9 @@ class Team:
                 yield
         except Held:
             raise self._held() from None
-        except RealEndpoint:
-            # It is told, however often it was tried.
-            self._fence.caught.clear()
+        except Exception:
+            # What was tried is told, whatever they made of it, and once, however often.
+            self._raise_caught()
             raise
 
     def _held(self) -> Stuck:
@@ -190,6 +183,7 @@ class Team:
     @contextmanager
     def _running(self) -> Iterator[None]:
         """The mission runs, once at a time, and ends no process but its own."""
+        self._be_open()
         if self._runs:
             raise MissionTestError(
                 "time goes on already: a double, an action or a condition cannot run the team; "
@@ -270,12 +264,16 @@ class Team:
     @property
     def ended(self) -> dict[str, str]:
         """How coordinators ended that did: `done`, `died`, `lost`."""
+        self._learn()
+        return {agent: outcome for agent, (_, outcome) in self._outcomes.items() if outcome}
+
+    def _learn(self) -> None:
+        """How coordinators ended, of the hosts that are there to tell it."""
         found = self._outcomes
         for life in self._fleet.lives.values():
             for known in life.core.mobility.knowledge():
                 over = known.outcome if known.state == "EXITED" and known.outcome != "superseded" else ""
                 found[known.agent] = max(found.get(known.agent, (0, "")), (known.generation, over))
-        return {agent: outcome for agent, (_, outcome) in found.items() if outcome}
 
     @property
     def _have_ended(self) -> bool:
@@ -287,6 +285,7 @@ class Team:
 
     def fake(self, device: str) -> FakeDevice:
         """The fake of a device, by its name. Raises MissionTestError."""
+        self._be_open()
         if device not in self._fakes.devices:
             known = ", ".join(sorted(self._fakes.devices)) or "none"
             raise MissionTestError(f"there is no device '{device}' with a fake here; there are: {known}")
@@ -297,11 +296,13 @@ class Team:
 
         Raises MissionTestError.
         """
+        self._be_open()
         call = f"at({seconds!r}, ...)"
         self._fleet.timeline.at(asked.seconds(seconds, call), asked.action(action, call))
 
     def when(self, line: str, action: Callable[[], None]) -> None:
         """Do something, once, as soon as anybody comes to `mission.L:42`. Raises MissionTestError."""
+        self._be_open()
         self._lines.when(line, asked.action(action, f"when({line!r}, ...)"))
 
     def cut(self, one: str, other: str) -> None:
@@ -336,6 +337,7 @@ class Team:
 
     def stop(self, *hosts: str) -> None:
         """Tell hosts, or all, to end in order, as by SIGTERM: their devices come to rest first."""
+        self._be_open()
         for host in hosts or tuple(self._fleet.lives):
             self._away.add(self._host(host))
             if host in self._fleet.lives:
@@ -352,14 +354,30 @@ class Team:
         self._mark("the mission goes on")
 
     def _command(self, word: Control) -> None:
+        self._be_open()
         for life in self._fleet.lives.values():
             life.process.loop.enter(partial(life.host.received, "", word, _PERSON))
 
     def close(self) -> None:
-        """End all that runs, at once. Raises what has touched this computer and nobody has been told of."""
-        self._fleet.close()
-        self._fence.down()
+        """End all that runs, at once; what was recorded can still be read.
+
+        Raises MissionTestError within a run, and what has touched this computer and nobody has been told of.
+        """
+        if self._runs:
+            raise MissionTestError("time goes on: a double, an action or a condition cannot close the team")
+        self._learn()
+        self._is_closed = True
+        try:
+            self._fleet.close()
+        finally:
+            self._fence.down()
         self._raise_caught()
+
+    def _be_open(self) -> None:
+        if self._is_closed:
+            raise MissionTestError(
+                "this team is closed, and only tells what it has recorded: open another one"
+            )
 
     def _mark(self, words: str, device: str = "") -> None:
         self.marks.append(Mark(self.now, device, words))
@@ -370,6 +388,7 @@ class Team:
         return self._host(one), self._host(other)
 
     def _host(self, name: str) -> str:
+        self._be_open()
         if name not in self._fleet.computers:
             known = ", ".join(self._fleet.computers)
             raise MissionTestError(f"there is no host '{name}'; there are: {known}")
