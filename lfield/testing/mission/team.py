@@ -41,7 +41,7 @@ LOOK = 0.02
 DAY = (1.8e9, 1.8e9 + 0.5)
 #: Metres that are a move.
 MOVED = 0.5
-#: Seconds of real time that one `run` may take, and the making of a team.
+#: Seconds of real time in which a mission's time need not go on; and that the making of a team may take.
 PATIENCE = 120.0
 #: So many lines are shown of a host that has ended.
 LAST_WORDS = 5
@@ -129,9 +129,9 @@ class Team:
         """Let time go on: for so many seconds, until a line has these words, until something is true, or
         until every coordinator has ended.
 
-        Raises Stuck when that has not come after `at_most` seconds, or cannot come any more, or when this
-        takes PATIENCE seconds of real time; and what went wrong in a double, or wanted to touch this
-        computer. Raises MissionTestError for what is no end, and where time goes on already.
+        Raises Stuck when that has not come after `at_most` seconds, or cannot come any more, or when time
+        stands still for PATIENCE seconds of real time; and what went wrong in a double, or wanted to touch
+        this computer. Raises MissionTestError for what is no end, and where time goes on already.
         """
         asked.one_end(seconds, until, until_done=until_done)
         at_most = asked.seconds(at_most, "run(at_most=...)")
@@ -164,7 +164,7 @@ class Team:
     def _patiently(self) -> Iterator[None]:
         """What is not the test's own may run within: it touches nothing real, and has an end."""
         try:
-            with self._fence.running(), Patience(PATIENCE) as self._patience:
+            with self._fence.running(), Patience(PATIENCE, self._instant) as self._patience:
                 yield
         except Held:
             raise self._held() from None
@@ -173,12 +173,16 @@ class Team:
             self._raise_caught()
             raise
 
+    def _instant(self) -> float:
+        """Seconds of the mission; below 0 before there is one."""
+        return self._fleet.now if hasattr(self, "_fleet") else -1.0
+
     def _held(self) -> Stuck:
-        fleet = getattr(self, "_fleet", None)
-        when = f"at {fleet.now:.3f} s of the mission" if fleet else "before the mission has begun"
+        at = self._instant()
+        when = "before the mission has begun" if at < 0.0 else f"at {at:.3f} s of the mission"
         by = f", held by {self._patience.holder}" if self._patience.holder else ""
-        took = f"the test has run for {PATIENCE:g} s of real time"
-        return Stuck(f"{when} {took}{by}", self._standing() if fleet else [])
+        took = f"time has stood still for {PATIENCE:g} s of real time"
+        return Stuck(f"{when} {took}{by}", [] if at < 0.0 else self._standing())
 
     @contextmanager
     def _running(self) -> Iterator[None]:
