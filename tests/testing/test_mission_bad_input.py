@@ -99,6 +99,14 @@ def test_a_fault_is_a_text(lfield_mission):
             team.fake("lead.fc").set(*faults)
 
 
+def test_no_fault_is_set_in_a_team_that_is_closed(lfield_mission):
+    team = lfield_mission(FLIGHT)
+    device = team.fake("lead.fc")
+    team.close()
+    with pytest.raises(MissionTestError, match="this team is closed"):
+        device.set("battery=0.2")
+
+
 def test_a_host_that_is_gone_can_be_killed_and_stopped(pumps):
     team = pumps()
     team.crash("alpha")

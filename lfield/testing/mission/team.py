@@ -384,6 +384,7 @@ class Team:
             )
 
     def _mark(self, words: str, device: str = "") -> None:
+        self._be_open()
         self.marks.append(Mark(self.now, device, words))
 
     def _two(self, one: str, other: str) -> tuple[str, str]:
