@@ -102,6 +102,14 @@ def test_a_fault_is_a_text(lfield_mission):
             team.fake("lead.fc").set(*faults)
 
 
+def test_no_fault_is_set_in_a_team_that_is_closed(lfield_mission):
+    team = lfield_mission(FLIGHT)
+    device = team.fake("lead.fc")
+    team.close()
+    with pytest.raises(MissionTestError, match="this team is closed"):
+        device.set("battery=0.2")
+
+
 def test_a_host_that_is_gone_can_be_killed_and_stopped(pumps):
     team = pumps()
     team.crash("alpha")
@@ -111,6 +119,41 @@ def test_a_host_that_is_gone_can_be_killed_and_stopped(pumps):
     team.power_off("alpha")
     team.run(1.0)
     assert [mark.words for mark in team.marks] == ["alpha is killed", "alpha is switched off"]
+
+
+@pytest.mark.parametrize(
+    "ask",
+    [
+        lambda team: team.run(1.0),
+        lambda team: team.at(99.0, print),
+        lambda team: team.when("pumps.L:6", print),
+        lambda team: team.fake("pump.m"),
+        lambda team: team.cut("alpha", "bravo"),
+        lambda team: team.heal("alpha", "bravo"),
+        lambda team: team.crash("alpha"),
+        lambda team: team.power_off("alpha"),
+        lambda team: team.boot("alpha"),
+        lambda team: team.stop(),
+        lambda team: team.pause(),
+        lambda team: team.resume(),
+    ],
+)
+def test_a_team_that_is_closed_refuses_everything(pumps, ask):
+    team = pumps()
+    team.close()
+    with pytest.raises(MissionTestError, match=r"^this team is closed, and only tells what it has recorded"):
+        ask(team)
+    assert not team._fleet.lives
+
+
+def test_what_a_team_has_recorded_is_there_when_it_is_closed(pumps):
+    team = pumps()
+    team.run(70.0)
+    team.close()
+    team.close()
+    assert team.ended == {"boss": "done"}
+    assert (team.said("got 3"), len(team.calls), team.now) == (1, 1, 70.0)
+    assert len(team.hops) == 1
 
 
 @pytest.mark.parametrize("ways", ["double", "at", "until"])

@@ -6,6 +6,7 @@ import asyncio
 import ctypes
 import multiprocessing
 import os
+import signal
 import socket
 import subprocess
 import threading
@@ -14,7 +15,7 @@ from pathlib import Path
 
 import pytest
 
-from lfield.errors import RealEndpoint
+from lfield.errors import MissionTestError, RealEndpoint
 from lfield.testing.mission.team import Team
 
 PROGRAM = "coordinator Boss { init(string[] arg) { while (true) sleep(1.0); } }"
@@ -36,7 +37,29 @@ def connected():
         door.bind(("127.0.0.1", 0))
         door.listen()
         with socket.create_connection(door.getsockname()) as one:
+            one.setblocking(False)
             yield one
+
+
+@pytest.fixture
+def accepted(tmp_path):
+    """A connection by a Unix socket that was accepted before there was a team."""
+    with socket.socket(socket.AF_UNIX) as door, socket.socket(socket.AF_UNIX) as caller:
+        door.bind(str(tmp_path / "door"))
+        door.listen()
+        caller.connect(str(tmp_path / "door"))
+        one, _ = door.accept()
+        caller.send(b"x")
+        with one:
+            yield one
+
+
+@pytest.fixture
+def sleeper():
+    """A process of its own group that was started before there was a team."""
+    with subprocess.Popen(["/bin/sleep", "60"], start_new_session=True) as one:
+        yield one
+        one.kill()
 
 
 def open_device(path: str) -> None:
@@ -71,6 +94,23 @@ def by_a_fork_of_python() -> None:
     multiprocessing.get_context("fork").Process(target=print).start()
 
 
+def by_a_pipe() -> None:
+    os.mkfifo("pipe")
+    os.open("pipe", os.O_RDWR)
+
+
+def by_a_pair_that_says_where_to() -> None:
+    one, other = socket.socketpair(socket.AF_UNIX, socket.SOCK_DGRAM)
+    with one, other:
+        one.sendto(b"x", "/run/nobody")
+
+
+def by_a_pair_that_leads_elsewhere() -> None:
+    one, other = socket.socketpair(socket.AF_UNIX, socket.SOCK_DGRAM)
+    with one, other:
+        one.connect("/run/nobody")
+
+
 DEEDS: dict[str, tuple[Callable[[], object], str]] = {
     "name": (lambda: socket.create_connection(("127.0.0.1", 9), timeout=0.1), "reach 127.0.0.1:9"),
     "host": (lambda: socket.gethostbyname("localhost"), "reach localhost"),
@@ -84,6 +124,10 @@ DEEDS: dict[str, tuple[Callable[[], object], str]] = {
     "root": (lambda: os.open("/proc/self/root/dev/tty1", os.O_RDONLY), "open /proc/self/root/dev/tty1"),
     "link": (by_a_link, "open serial"),
     "folder": (from_a_folder, "open dev/tty1"),
+    "pipe": (by_a_pipe, "open pipe"),
+    "terminal": (lambda: os.openpty(), "open a terminal"),
+    "pair_to": (by_a_pair_that_says_where_to, "send to /run/nobody"),
+    "pair_away": (by_a_pair_that_leads_elsewhere, "connect to /run/nobody"),
     "fork": (os.fork, "start a process"),
     "system": (lambda: os.system("true"), "start "),
     "spawn": (lambda: os.spawnv(os.P_WAIT, "/bin/true", ["true"]), "start a process"),
@@ -115,7 +159,14 @@ def test_nothing_real_is_touched_also_by_who_says_nothing_of_it(still, name, tmp
 
 
 def test_what_was_connected_before_is_real_too(connected, still):
-    for deed in (lambda: connected.send(b"x"), lambda: connected.sendall(b"x"), lambda: connected.recv(1)):
+    for deed in (
+        lambda: connected.send(b"x"),
+        lambda: connected.sendall(b"x"),
+        lambda: connected.recv(1),
+        lambda: connected.recvfrom_into(bytearray(1)),
+        lambda: connected.recvmsg(1),
+        lambda: connected.recvmsg_into([bytearray(1)]),
+    ):
         still.at(still.now + 0.5, deed)
         with pytest.raises(RealEndpoint, match="it wanted to use a socket"):
             still.run(1.0)
@@ -123,6 +174,32 @@ def test_what_was_connected_before_is_real_too(connected, still):
         still.at(still.now + 0.5, deed)
         with pytest.raises(RealEndpoint, match="it wanted to send to"):
             still.run(1.0)
+
+
+def test_so_is_what_was_accepted_before(accepted, still):
+    for deed in (lambda: accepted.send(b"x"), lambda: accepted.recv(1), lambda: accepted.recvmsg(1)):
+        still.at(still.now + 0.5, deed)
+        with pytest.raises(RealEndpoint, match="it wanted to use a socket"):
+            still.run(1.0)
+    still.at(still.now + 0.5, lambda: accepted.sendmsg([b"x"]))
+    with pytest.raises(RealEndpoint, match="it wanted to send to"):
+        still.run(1.0)
+
+
+def test_no_process_is_ended_that_was_there_before(sleeper, still):
+    descriptor = os.pidfd_open(sleeper.pid)
+    for deed in (
+        sleeper.terminate,
+        lambda: os.kill(sleeper.pid, signal.SIGKILL),
+        lambda: os.killpg(sleeper.pid, signal.SIGKILL),
+        lambda: signal.pidfd_send_signal(descriptor, signal.SIGKILL),
+    ):
+        still.at(still.now + 0.5, deed)
+        with pytest.raises(RealEndpoint, match="it wanted to send a signal to"):
+            still.run(1.0)
+    os.close(descriptor)
+    still.close()
+    assert sleeper.poll() is None
 
 
 @pytest.mark.parametrize(
@@ -156,6 +233,72 @@ def test_nor_by_the_loop_that_a_driver_runs_in(still, deed, said):
     still.at(0.5, lambda: life.process.loop.enter(lambda: life.process.loop.create_task(silently())))
     with pytest.raises(RealEndpoint, match=f"it wanted to {said}"):
         still.run(1.0)
+
+
+@pytest.fixture
+def door():
+    """A door at which somebody listened before there was a team; who has knocked is accepted at once."""
+    with socket.socket() as one:
+        one.bind(("127.0.0.1", 0))
+        one.listen()
+        one.setblocking(False)
+        yield one
+
+
+def has_been_knocked_at(door: socket.socket) -> bool:
+    try:
+        door.accept()[0].close()
+    except BlockingIOError:
+        return False
+    return True
+
+
+REACHES_OUT = """
+import socket
+try:
+    socket.create_connection(("127.0.0.1", {port})).close()
+except Exception:
+    pass
+"""
+
+
+def test_nor_while_a_mission_is_loaded_by_the_package_of_a_driver(
+    door, tmp_path, monkeypatch, lfield_mission
+):
+    (tmp_path / "eager_driver.py").write_text(REACHES_OUT.format(port=door.getsockname()[1]))
+    told = tmp_path / "eager-1.0.dist-info"
+    told.mkdir()
+    (told / "METADATA").write_text("Metadata-Version: 2.1\nName: eager\nVersion: 1.0\n")
+    (told / "entry_points.txt").write_text("[lfield.drivers.v1]\neager = eager_driver:PLUGIN\n")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    (tmp_path / "still.L").write_text(PROGRAM)
+    (tmp_path / "still.dL").write_text("//Boss:boss@alpha\n")
+    with pytest.raises(pytest.fail.Exception, match="it wanted to reach"):
+        lfield_mission(tmp_path / "still.dL")
+    assert not has_been_knocked_at(door)
+
+
+def test_nor_while_a_double_is_looked_at(door, tmp_path, lfield_mission):
+    class Eager:
+        @property
+        def live_attributes(self) -> dict[str, object]:
+            socket.create_connection(door.getsockname()).close()
+            return {}
+
+    (tmp_path / "post.L").write_text("resource Post { init(string[] arg) { } }\n" + PROGRAM)
+    (tmp_path / "post.dL").write_text("//Post:post@alpha\n//Boss:boss@alpha\n")
+    with pytest.raises(pytest.fail.Exception, match="it wanted to reach"):
+        lfield_mission(tmp_path / "post.dL", doubles={"post": Eager()})
+    assert not has_been_knocked_at(door)
+    bound()
+
+
+def test_nor_by_a_team_that_is_closed_meanwhile(still):
+    still.at(0.5, still.close)
+    with pytest.raises(MissionTestError, match="cannot close the team"):
+        still.run(1.0)
+    with pytest.raises(RealEndpoint):
+        bound()
 
 
 def test_nor_by_the_test_itself_its_conditions_and_its_threads(still):
@@ -207,6 +350,8 @@ def test_what_leads_nowhere_is_free_and_so_is_a_pair_of_sockets(still):
     one, other = socket.socketpair()
     one.sendall(b"x")
     assert other.recv(1) == b"x"
+    one.sendmsg([b"y"])
+    assert other.recvmsg(1)[0] == b"y"
     one.close()
     other.close()
     asyncio.run(asyncio.sleep(0))

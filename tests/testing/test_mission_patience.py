@@ -24,13 +24,14 @@ coordinator Boss {
 
 @pytest.fixture
 def posted(tmp_path, lfield_mission, monkeypatch):
-    """Makes a team with a double for its resource, and hardly any patience."""
-    monkeypatch.setattr("lfield.testing.mission.team.PATIENCE", 0.5)
+    """Makes a team with a double for its resource, and hardly any patience once it is made."""
 
-    def made(double: object = None) -> Team:
+    def made(double: object = None, making: float = 120.0) -> Team:
+        monkeypatch.setattr("lfield.testing.mission.team.PATIENCE", making)
         (tmp_path / "post.L").write_text(PROGRAM)
         (tmp_path / "post.dL").write_text("//Post:one@alpha\n//Boss:boss@alpha\n")
         team: Team = lfield_mission(tmp_path / "post.dL", doubles={"one": double} if double else {})
+        monkeypatch.setattr("lfield.testing.mission.team.PATIENCE", 0.5)
         return team
 
     return made
@@ -52,7 +53,7 @@ class Swallows:
 @pytest.mark.parametrize("double", [Blocks(), Swallows()], ids=["blocks", "swallows"])
 def test_a_double_that_blocks_is_interrupted_and_named(posted, double):
     team = posted(double)
-    with pytest.raises(Stuck, match=r"at 0\.\d+ s of the mission the test has run for 0.5 s") as stuck:
+    with pytest.raises(Stuck, match=r"at 0\.\d+ s of the mission time has stood still for 0.5 s") as stuck:
         team.run(10.0)
     assert f"held by {type(double).__name__}.work (test_mission_patience.py:" in str(stuck.value)
 
@@ -78,10 +79,36 @@ def test_so_is_a_condition_and_what_runs_in_a_thread(posted):
         team.run(10.0)
 
 
-def test_who_is_only_slow_has_no_culprit(posted):
+def test_who_spins_at_one_instant_is_interrupted(posted):
     team = posted()
-    with pytest.raises(Stuck, match=r"s of the mission the test has run for 0.5 s of real time\n"):
-        team.run(until_done=True, at_most=1e9)
+
+    def again() -> None:
+        team.at(team.now, again)
+
+    team.at(2.0, again)
+    with pytest.raises(Stuck, match=r"at 2.000 s of the mission time has stood still for 0.5 s of real time"):
+        team.run(10.0)
+
+
+def test_who_is_only_slow_is_let_go_on(posted):
+    team, began = posted(), time.monotonic()
+    for moment in range(1, 9):
+        team.at(moment, lambda: time.sleep(0.15))
+    team.run(10.0)
+    assert time.monotonic() - began > 1.0
+
+
+def test_the_making_of_a_team_has_an_end_too(posted):
+    class Shy:
+        @property
+        def live_attributes(self) -> dict[str, object]:
+            time.sleep(1e6)
+            return {}
+
+    with pytest.raises(
+        pytest.fail.Exception, match=r"before the mission has begun time .*Shy\.live_attributes"
+    ):
+        posted(Shy(), making=2.0)
 
 
 def test_an_alarm_of_somebody_else_is_there_again_and_rings_first_where_it_is_sooner(posted, monkeypatch):
@@ -91,9 +118,17 @@ def test_an_alarm_of_somebody_else_is_there_again_and_rings_first_where_it_is_so
     try:
         posted().run(1.0)
         assert 25.0 < signal.getitimer(signal.ITIMER_REAL)[0] < 30.0
+        team = posted(type("Short", (), {"work": lambda self: time.sleep(0.3)})())
         signal.setitimer(signal.ITIMER_REAL, 0.1)
-        posted(type("Short", (), {"work": lambda self: time.sleep(0.3)})()).run(1.0)
+        team.run(1.0)
         assert len(rung) == 1
+        assert signal.getitimer(signal.ITIMER_REAL) == (0.0, 0.0)
+        # It is rung also where it comes later than any look, and where time goes on.
+        signal.setitimer(signal.ITIMER_REAL, 0.7)
+        for moment in range(2, 10):
+            team.at(moment, lambda: time.sleep(0.15))
+        team.run(10.0)
+        assert len(rung) == 2
     finally:
         signal.setitimer(signal.ITIMER_REAL, 0.0)
         signal.signal(signal.SIGALRM, before)

@@ -3,13 +3,15 @@
 Python tells its audit hooks of nearly all that (PEP 578), whichever library does it. A hook cannot be taken
 away again, so there is one, and it looks whether a fence stands. Of what Python tells nothing, functions are
 exchanged for as long as one does. Behind a fence are the test itself and every thread that began after it
-went up; what was there before, such as a debugger, is not.
+went up; what was there before, such as a debugger, is not. It is no jail: whoever wants to get through does,
+by what testing.md names.
 """
 
 from __future__ import annotations
 
 import _posixsubprocess
 import os
+import signal
 import socket
 import stat
 import sys
@@ -33,17 +35,15 @@ _ACTS = {
     "os.system": "start {0}",
     "os.fork": "start a process",
     "os.forkpty": "start a process",
+    "os.kill": "send a signal to process {0}",
+    "os.killpg": "send a signal to the processes of group {0}",
     "ctypes.dlopen": "load {0} by ctypes",
     "ctypes.dlsym": "call {1} by ctypes",
-    # What a process of a simulated computer wants of the real one.
-    "lfield.beyond": "{0}",
-}
-#: The same where it is done with a socket, the first argument.
-_WITH_A_SOCKET = {
     "socket.connect": "connect to {1}",
     "socket.bind": "listen at {1}",
     "socket.sendto": "send to {1}",
-    "socket.sendmsg": "send to {1}",
+    # What a process of a simulated computer wants of the real one.
+    "lfield.beyond": "{0}",
 }
 #: The devices that lead nowhere, by their numbers: null, zero, full, random, urandom and the terminal.
 _NOWHERE = {*(os.makedev(1, minor) for minor in (3, 5, 7, 8, 9)), os.makedev(5, 0)}
@@ -120,29 +120,34 @@ def _hook(event: str, arguments: tuple[Any, ...]) -> None:
         return
     if event in _ACTS:
         _refuse(_ACTS[event].format(*arguments))
-    elif event in _WITH_A_SOCKET and not _is_pair(arguments[0]):
-        _refuse(_WITH_A_SOCKET[event].format(*arguments))
-    elif event == "open" and not isinstance(arguments[0], int) and _is_device(arguments[0]):
+    elif event == "socket.sendmsg" and not (arguments[1] is None and _is_pair(arguments[0])):
+        _refuse(f"send to {arguments[1]}")
+    elif event == "open" and not isinstance(arguments[0], int) and _leads_out(arguments[0]):
         _refuse(f"open {os.fsdecode(arguments[0])}")
 
 
 sys.addaudithook(_hook)
 
 
-def _is_device(path: str | bytes | os.PathLike[str]) -> bool:
-    """Whether a path leads to a device, by whatever links; what is not there in /dev would be one."""
+def _leads_out(path: str | bytes | os.PathLike[str]) -> bool:
+    """Whether a path leads to a device or a pipe, by whatever links; in /dev what is not there would."""
     try:
         found = os.stat(path)
     except (OSError, ValueError):
         real = os.path.realpath(os.fsdecode(path))
         return real.startswith("/dev/") and not real.startswith("/dev/shm/")
-    return stat.S_IFMT(found.st_mode) in (stat.S_IFCHR, stat.S_IFBLK) and found.st_rdev not in _NOWHERE
+    kind = stat.S_IFMT(found.st_mode)
+    is_device = kind in (stat.S_IFCHR, stat.S_IFBLK) and found.st_rdev not in _NOWHERE
+    return is_device or kind == stat.S_IFIFO
 
 
 def _is_pair(one: socket.socket) -> bool:
-    """Whether a socket is one of a pair within this process, as loops have to wake up."""
+    """Whether a socket is one of a pair within this process, as loops wake up by: no end has a name.
+
+    Of a connection that was accepted this end has one, which is where it was listened.
+    """
     with suppress(OSError):
-        return one.family == socket.AF_UNIX and not one.getpeername()
+        return one.family == socket.AF_UNIX and not one.getsockname() and not one.getpeername()
     return False
 
 
@@ -155,20 +160,24 @@ def _with_a_socket(name: str) -> Callable[..., str]:
 
 def _in_a_folder(path: Any, *_: Any, dir_fd: int | None = None, **__: Any) -> str:
     """A path as seen from an open folder: Python tells of the path alone."""
-    if dir_fd is None or not _is_device(os.path.join(f"/proc/self/fd/{dir_fd}", os.fsdecode(path))):
+    if dir_fd is None or not _leads_out(os.path.join(f"/proc/self/fd/{dir_fd}", os.fsdecode(path))):
         return ""
     return f"open {os.fsdecode(path)}"
 
 
+#: What is done with a socket and not told.
+_BY_A_SOCKET = (
+    *("listen", "accept", "send", "sendall", "sendfile"),
+    *("recv", "recv_into", "recvfrom", "recvfrom_into", "recvmsg", "recvmsg_into"),
+)
 #: Where it is done, by which function, and what is to be said of its arguments, '' for nothing.
 _SILENT: list[tuple[Any, str, Callable[..., str]]] = [
     (os, "open", _in_a_folder),
     # By this multiprocessing starts what it does not fork.
     (_posixsubprocess, "fork_exec", lambda command, *_: f"start {os.fsdecode(command[0])}"),
-    *(
-        (socket.socket, name, _with_a_socket(name))
-        for name in ("listen", "accept", "send", "sendall", "sendfile", "recv", "recv_into", "recvfrom")
-    ),
+    (signal, "pidfd_send_signal", lambda *_, **__: "send a signal to a process"),
+    *((os, name, lambda *_: "open a terminal") for name in ("openpty", "posix_openpt") if hasattr(os, name)),
+    *((socket.socket, name, _with_a_socket(name)) for name in _BY_A_SOCKET),
 ]
 _before: list[tuple[Any, str, Any]] = []
 

@@ -13,9 +13,9 @@ from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 from types import MappingProxyType, SimpleNamespace
-from typing import NamedTuple, cast
+from typing import cast
 
-from lfield.errors import MissionTestError, RealEndpoint, Stuck
+from lfield.errors import MissionTestError, Stuck
 from lfield.mission.load import load_mission
 from lfield.net.transport import Link
 from lfield.simulate.fleet import Fleet, Life
@@ -27,7 +27,7 @@ from lfield.testing.mission.fence import Fence
 from lfield.testing.mission.patience import Held, Patience
 from lfield.testing.mission.picture import Mark
 from lfield.testing.mission.standing import standing
-from lfield.testing.mission.watching import Hop, Hops, Lines, Point, Tracks
+from lfield.testing.mission.watching import Hop, Hops, Line, Lines, Point, Tracks
 from lfield.wire.messages import Control
 from lfield.wire.observing import Pause
 
@@ -41,7 +41,7 @@ LOOK = 0.02
 DAY = (1.8e9, 1.8e9 + 0.5)
 #: Metres that are a move.
 MOVED = 0.5
-#: Seconds of real time that one `run` may take, and the making of a team.
+#: Seconds of real time in which a mission's time need not go on; and that the making of a team may take.
 PATIENCE = 120.0
 #: So many lines are shown of a host that has ended.
 LAST_WORDS = 5
@@ -49,14 +49,6 @@ LAST_WORDS = 5
 
 #: Who gives commands, as somebody at a desk does, and waits for no answer.
 _PERSON = cast(Link, SimpleNamespace(peer="the test", send=lambda message: None))
-
-
-class Line(NamedTuple):
-    """A line of the log or of a program: seconds, host, text."""
-
-    at: float
-    host: str
-    text: str
 
 
 class Team:
@@ -77,23 +69,24 @@ class Team:
         keeps: bool = True,
     ) -> None:
         doubles = asked.doubles(doubles)
-        mission = self.mission = load_mission(path, simulate=True, doubled=doubles)
-        self._fakes, self._doubles = Fakes(asked.wrong(fakes), self._mark), Doubles(mission, doubles)
+        self._fakes = Fakes(asked.wrong(fakes), self._mark)
         #: How coordinators ended, with the start that did: hosts that are gone tell it no more.
         self._outcomes: dict[str, tuple[int, str]] = {}
         #: What the test has done to the team, for its picture.
         self.marks: list[Mark] = []
-        self._team_hosts = frozenset(mission.team.hosts)
         #: The hosts that the test has ended.
         self._away: set[str] = set()
         self._calls, self._hops = Calls(lambda: self.now), Hops(lambda: self.now)
-        self._lines = Lines(mission.program, lambda seconds, event: self._fleet.later(seconds, event))
         #: Words that somebody shall say, and how much of the log was looked at for them.
         self._awaited, self._read = "", 0
-        self._runs = False
+        self._runs = self._is_closed = False
         self._fence = Fence()
         try:
             with self._running(), self._patiently():
+                mission = self.mission = load_mission(path, simulate=True, doubled=doubles)
+                self._doubles = Doubles(mission, doubles)
+                self._raise_caught()
+                self._lines = Lines(mission.program, lambda after, event: self._fleet.later(after, event))
                 self._fleet = Fleet(
                     mission,
                     asked.seed(seed),
@@ -136,9 +129,9 @@ class Team:
         """Let time go on: for so many seconds, until a line has these words, until something is true, or
         until every coordinator has ended.
 
-        Raises Stuck when that has not come after `at_most` seconds, or cannot come any more, or when this
-        takes PATIENCE seconds of real time; and what went wrong in a double, or wanted to touch this
-        computer. Raises MissionTestError for what is no end, and where time goes on already.
+        Raises Stuck when that has not come after `at_most` seconds, or cannot come any more, or when time
+        stands still for PATIENCE seconds of real time; and what went wrong in a double, or wanted to touch
+        this computer. Raises MissionTestError for what is no end, and where time goes on already.
         """
         asked.one_end(seconds, until, until_done=until_done)
         at_most = asked.seconds(at_most, "run(at_most=...)")
@@ -163,7 +156,7 @@ class Team:
             self._fleet.run(LOOK)
             if self._awaited and not over and self._have_ended:
                 over, end = True, min(end, self.now + AFTERWARDS)
-            if gone := self._team_hosts - self._fleet.lives.keys() - self._away:
+            if gone := self._fleet.computers.keys() - self._fleet.lives.keys() - self._away:
                 name = min(gone)
                 raise Stuck(f"{why}, and {name} has ended by itself", self._last_words(name))
 
@@ -171,25 +164,30 @@ class Team:
     def _patiently(self) -> Iterator[None]:
         """What is not the test's own may run within: it touches nothing real, and has an end."""
         try:
-            with self._fence.running(), Patience(PATIENCE) as self._patience:
+            with self._fence.running(), Patience(PATIENCE, self._instant) as self._patience:
                 yield
         except Held:
             raise self._held() from None
-        except RealEndpoint:
-            # It is told, however often it was tried.
-            self._fence.caught.clear()
+        except Exception:
+            # What was tried is told, whatever they made of it, and once, however often.
+            self._raise_caught()
             raise
 
+    def _instant(self) -> float:
+        """Seconds of the mission; below 0 before there is one."""
+        return self._fleet.now if hasattr(self, "_fleet") else -1.0
+
     def _held(self) -> Stuck:
-        fleet = getattr(self, "_fleet", None)
-        when = f"at {fleet.now:.3f} s of the mission" if fleet else "before the mission has begun"
+        at = self._instant()
+        when = "before the mission has begun" if at < 0.0 else f"at {at:.3f} s of the mission"
         by = f", held by {self._patience.holder}" if self._patience.holder else ""
-        took = f"the test has run for {PATIENCE:g} s of real time"
-        return Stuck(f"{when} {took}{by}", self._standing() if fleet else [])
+        took = f"time has stood still for {PATIENCE:g} s of real time"
+        return Stuck(f"{when} {took}{by}", [] if at < 0.0 else self._standing())
 
     @contextmanager
     def _running(self) -> Iterator[None]:
         """The mission runs, once at a time, and ends no process but its own."""
+        self._be_open()
         if self._runs:
             raise MissionTestError(
                 "time goes on already: a double, an action or a condition cannot run the team; "
@@ -270,12 +268,16 @@ class Team:
     @property
     def ended(self) -> dict[str, str]:
         """How coordinators ended that did: `done`, `died`, `lost`."""
+        self._learn()
+        return {agent: outcome for agent, (_, outcome) in self._outcomes.items() if outcome}
+
+    def _learn(self) -> None:
+        """How coordinators ended, of the hosts that are there to tell it."""
         found = self._outcomes
         for life in self._fleet.lives.values():
             for known in life.core.mobility.knowledge():
                 over = known.outcome if known.state == "EXITED" and known.outcome != "superseded" else ""
                 found[known.agent] = max(found.get(known.agent, (0, "")), (known.generation, over))
-        return {agent: outcome for agent, (_, outcome) in found.items() if outcome}
 
     @property
     def _have_ended(self) -> bool:
@@ -287,6 +289,7 @@ class Team:
 
     def fake(self, device: str) -> FakeDevice:
         """The fake of a device, by its name. Raises MissionTestError."""
+        self._be_open()
         if device not in self._fakes.devices:
             known = ", ".join(sorted(self._fakes.devices)) or "none"
             raise MissionTestError(f"there is no device '{device}' with a fake here; there are: {known}")
@@ -297,11 +300,13 @@ class Team:
 
         Raises MissionTestError.
         """
+        self._be_open()
         call = f"at({seconds!r}, ...)"
         self._fleet.timeline.at(asked.seconds(seconds, call), asked.action(action, call))
 
     def when(self, line: str, action: Callable[[], None]) -> None:
         """Do something, once, as soon as anybody comes to `mission.L:42`. Raises MissionTestError."""
+        self._be_open()
         self._lines.when(asked.line(line), asked.action(action, f"when({line!r}, ...)"))
 
     def cut(self, one: str, other: str) -> None:
@@ -336,6 +341,7 @@ class Team:
 
     def stop(self, *hosts: str) -> None:
         """Tell hosts, or all, to end in order, as by SIGTERM: their devices come to rest first."""
+        self._be_open()
         for host in hosts or tuple(self._fleet.lives):
             self._away.add(self._host(host))
             if host in self._fleet.lives:
@@ -352,16 +358,33 @@ class Team:
         self._mark("the mission goes on")
 
     def _command(self, word: Control) -> None:
+        self._be_open()
         for life in self._fleet.lives.values():
             life.process.loop.enter(partial(life.host.received, "", word, _PERSON))
 
     def close(self) -> None:
-        """End all that runs, at once. Raises what has touched this computer and nobody has been told of."""
-        self._fleet.close()
-        self._fence.down()
+        """End all that runs, at once; what was recorded can still be read.
+
+        Raises MissionTestError within a run, and what has touched this computer and nobody has been told of.
+        """
+        if self._runs:
+            raise MissionTestError("time goes on: a double, an action or a condition cannot close the team")
+        self._learn()
+        self._is_closed = True
+        try:
+            self._fleet.close()
+        finally:
+            self._fence.down()
         self._raise_caught()
 
+    def _be_open(self) -> None:
+        if self._is_closed:
+            raise MissionTestError(
+                "this team is closed, and only tells what it has recorded: open another one"
+            )
+
     def _mark(self, words: str, device: str = "") -> None:
+        self._be_open()
         self.marks.append(Mark(self.now, device, words))
 
     def _two(self, one: str, other: str) -> tuple[str, str]:
@@ -370,6 +393,7 @@ class Team:
         return self._host(one), self._host(other)
 
     def _host(self, name: str) -> str:
+        self._be_open()
         if not isinstance(name, str) or name not in self._fleet.computers:
             known = ", ".join(self._fleet.computers)
             raise MissionTestError(f"there is no host {name!r}; there are: {known}")

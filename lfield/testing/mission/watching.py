@@ -1,4 +1,4 @@
-"""What is seen of a mission under test: hops, who comes to a line of L, and where devices are."""
+"""What is seen of a mission under test: the log, hops, who comes to a line of L, and where devices are."""
 
 from __future__ import annotations
 
@@ -18,6 +18,14 @@ from lfield.wire.coordinators import Transfer
 
 #: Seconds between two points of a track.
 EVERY = 0.1
+
+
+class Line(NamedTuple):
+    """A line of the log: seconds, host, text."""
+
+    at: float
+    host: str
+    text: str
 
 
 @dataclass(frozen=True, slots=True)

@@ -121,21 +121,23 @@ def test_a_planner_that_fails_or_answers_nonsense_is_not_believed(said, told, tm
 
 
 @pytest.mark.process
-@pytest.mark.parametrize("patience", [0.3, 20.0])
+@pytest.mark.parametrize("patience", [5.0, 60.0])
 def test_a_planner_that_takes_for_ever_is_ended_and_the_next_one_asked(patience, tmp_path):
     bench = planner(sys.executable, "-c", STUB, '{"tour": [0]}', str(tmp_path / "pid"), patience=patience)
 
     async def story(device):
+        # A new process of Python may take a while on a busy computer: it has written nothing yet.
+        await bench.until(lambda: (tmp_path / "pid").exists() and bool((tmp_path / "pid").read_text()))
         first = int((tmp_path / "pid").read_text())
         thinking = asyncio.ensure_future(device.execute("tour", (*SITES, 13.0)))
-        if patience > 1.0:
+        if patience > 10.0:
             # The guard gives it up, since the time of a program is over.
             await asyncio.sleep(0.1)
             thinking.cancel()
         with pytest.raises((DeviceError, asyncio.CancelledError)) as ended:
             await thinking
-        if patience < 1.0:
-            assert "no plan within 0.3 s; it was given up" in str(ended.value)
+        if patience < 10.0:
+            assert "no plan within 5 s; it was given up" in str(ended.value)
         await bench.until(lambda: not alive(first))
         assert await device.execute("tour", (*SITES, 30.0)) == [0]
         assert int((tmp_path / "pid").read_text()) != first
