@@ -11,11 +11,11 @@ from lfield.capability.reading.reader import check_files, shipped
 from lfield.capability.reading.signatures import Signature, signatures_of
 from lfield.capability.types.live_units import settle_live
 from lfield.capability.types.program_check import check_against, check_classes, check_questions, check_types
-from lfield.driver.plugins import discover
+from lfield.driver.plugins import Plugins, discover
 from lfield.errors import ProgramError
 from lfield.lang.includes import FileSet
 from lfield.lang.syntax import File
-from lfield.mission.load import CAPABILITIES, agents_of, compile_file
+from lfield.mission.load import CAPABILITIES, agents_of, beside, compile_file
 from lfield.text.files import MAX_TEXT, read_bytes
 from lfield.text.source import Diagnostic, Diagnostics
 
@@ -37,13 +37,15 @@ def check_registry(
     found = Diagnostics()
     each: Sequence[Path | None] = missions or [None]
     for mission in each:
-        chosen = program or _beside(mission, ".L")
-        units = None if chosen is None else signatures_of(program_files(chosen, found))
-        registry, mistakes = check_files(base, mission=mission, agents=_agents(mission))
+        deployment = None if mission is None else _deployment(mission)
+        chosen = program or (beside(deployment, ".L") if deployment is not None else None)
+        units = None if chosen is None else signatures_of(program_files(chosen, plugins, found))
+        agents = None if deployment is None else agents_of(deployment)
+        registry, mistakes = check_files(base, mission=mission, agents=agents)
         for mistake in mistakes:
             found.add(mistake)
         if registry is not None:
-            _check_calls(registry, units or {}, found)
+            _check_calls(registry, units or {}, plugins, found)
         if registry is not None and mission is not None and units is not None:
             own = [name for name, unit in units.items() if unit.kind == "resource"]
             check_types(registry, mission, own, plugins.find_source, found)
@@ -59,33 +61,26 @@ def _once(mistakes: Sequence[Diagnostic]) -> list[Diagnostic]:
     return list({(m.code, m.span.source.name, m.span.start): m for m in mistakes}.values())
 
 
-def program_files(path: Path, found: Diagnostics) -> list[File]:
+def program_files(path: Path, plugins: Plugins, found: Diagnostics) -> list[File]:
     """A program and all it includes, parsed. Raises InputFileError."""
-    files = FileSet(found, discover().find_source)
+    files = FileSet(found, plugins.find_source)
     files.read(read_bytes(path, MAX_TEXT), path)
     return files.files
 
 
-def _check_calls(registry: Registry, signatures: Mapping[str, Signature], found: Diagnostics) -> None:
+def _check_calls(
+    registry: Registry, signatures: Mapping[str, Signature], plugins: Plugins, found: Diagnostics
+) -> None:
     check_classes(registry, found)
     check_against(registry, signatures, found)
     devices = {name: unit.devices for name, unit in signatures.items() if unit.kind == "resource"}
-    settle_live(registry, devices, discover().device_types, found)
+    settle_live(registry, devices, plugins.device_types, found)
 
 
 def _asks(registry: Registry) -> bool:
     return any(live.portal for provider in registry.providers.values() for live in provider.live.values())
 
 
-def _agents(mission: Path | None) -> list[str] | None:
-    """The ids in the deployment beside a mission's file; None when there is none to be read."""
-    deployment = _beside(mission, ".dL")
-    return None if deployment is None else agents_of(deployment)
-
-
-def _beside(mission: Path | None, suffix: str) -> Path | None:
-    """Another file of the mission, if there is one."""
-    if mission is None:
-        return None
-    path = mission.with_name(f"{mission.name.removesuffix(CAPABILITIES)}{suffix}")
-    return path if path.exists() else None
+def _deployment(mission: Path) -> Path:
+    """The deployment that a mission's file belongs to, whether it is there or not."""
+    return mission.with_name(f"{mission.name.removesuffix(CAPABILITIES)}.dL")

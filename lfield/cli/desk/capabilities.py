@@ -46,16 +46,22 @@ def run(args: argparse.Namespace) -> int:
             return _check(args)
 
 
+def _registry(args: argparse.Namespace) -> Registry:
+    """The registry with what installed drivers, and a mission where one is given, add to it."""
+    from lfield.capability.reading.reader import read_registry
+    from lfield.driver.plugins import discover
+
+    return read_registry(mission=args.capabilities, libraries=discover().capabilities)
+
+
 # --- tree and show ------------------------------------------------------------------------------------
 
 
 def _tree(args: argparse.Namespace) -> int:
-    from lfield.capability.reading.reader import read_registry
     from lfield.cli.views.trees import print_tree
-    from lfield.driver.plugins import discover
     from lfield.operator.registry.taxonomy import term_of, tree
 
-    registry = read_registry(mission=args.capabilities, libraries=discover().capabilities)
+    registry = _registry(args)
     term = term_of(registry, args.id) if args.id else None
     if args.id and term is None:
         raise _unknown(registry, args.id)
@@ -66,13 +72,11 @@ def _tree(args: argparse.Namespace) -> int:
 
 
 def _show(args: argparse.Namespace) -> int:
-    from lfield.capability.reading.reader import read_registry
-    from lfield.driver.plugins import discover
     from lfield.operator.registry.sheets import describe, in_terminal
 
     if args.program is not None:
         raise UsageError("--program is for the class of a capability: give --L too")
-    registry = read_registry(mission=args.capabilities, libraries=discover().capabilities)
+    registry = _registry(args)
     sheets = describe(registry, args.name)
     if not sheets:
         raise _unknown(registry, args.name)
@@ -82,7 +86,6 @@ def _show(args: argparse.Namespace) -> int:
 
 def _show_class(args: argparse.Namespace) -> int:
     """The class of a capability, for a program or for one that has all resources of the registry."""
-    from lfield.capability.reading.reader import read_registry
     from lfield.capability.types.generate import Served, class_text
     from lfield.capability.types.language import RegistryTypes
     from lfield.driver.plugins import discover
@@ -90,14 +93,14 @@ def _show_class(args: argparse.Namespace) -> int:
     from lfield.mission.registry_check import program_files
     from lfield.text.source import Diagnostics
 
-    registry = read_registry(mission=args.capabilities, libraries=discover().capabilities)
+    registry = _registry(args)
     if args.name not in registry.primitives:
         raise _unknown(registry, args.name)
     if args.program is None:
         print(class_text(Served(registry, registry.providers), args.name), end="")
         return 0
     found = Diagnostics()
-    files = program_files(args.program, found)
+    files = program_files(args.program, discover(), found)
     if found.errors:
         raise ProgramError(found.errors)
     generated = RegistryTypes(lambda: registry).generate([args.name], files).classes
