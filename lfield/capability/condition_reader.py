@@ -139,10 +139,13 @@ class _Parser:
         )
 
     def _sees_limit(self) -> bool:
-        following = self._tokens[min(self._at + 1, len(self._tokens) - 1)]
-        return (
-            self._next.kind == "name" and self._next.text == "limit" and following.kind in ("number", "end")
-        )
+        """Whether there is a limit, right or wrong: a number below 0, too, which would be a difference."""
+        if self._next.kind != "name" or self._next.text != "limit":
+            return False
+        behind = self._tokens[self._at + 1 :]
+        if behind[0].text == "-":
+            return [token.kind for token in behind[1:]] == ["number", "end"]
+        return behind[0].kind in ("number", "end")
 
     def _descends(self) -> bool:
         found = self._next.kind == "name" and self._next.text

@@ -87,7 +87,7 @@ def _answer(matcher: Matcher, primitive: Primitive, question: Question, size: in
         return Answer(primitive, found.offers, found.count, refusals, found.notes)
     formed = matcher.teams(primitive.name, size, question.wish)
     notes = list(dict.fromkeys([*found.notes, *formed.notes]))
-    return Answer(primitive, found.offers, found.count, refusals, notes, formed.teams)
+    return Answer(primitive, found.offers, found.count, refusals, notes, formed.teams, formed.agents)
 
 
 def _known(args: argparse.Namespace, team: Team, asked: Asked, at: str) -> Known:
