@@ -44,6 +44,13 @@ BEGUN = """
             print("threw " + e.message());
         }
 """
+TOGETHER = """
+        try {
+            together { near.stay(0.5); far.look(); }
+        } catch (UnreachableResourceException e) {
+            print("threw " + e.message());
+        }
+"""
 TEAM = "//Post:near@alpha\n//Post:far@bravo\n//Walker:w@alpha?{0}\n"
 
 
@@ -81,6 +88,17 @@ def test_a_host_that_was_killed_seven_seconds_ago_is_not_waited_for(tmp_path, en
     assert before == "bravo could not be reached: there has been no link for "
     assert 6.0 < float(seconds) < 8.0
     assert after == " s; is it up?"
+
+
+def test_a_together_does_not_wait_either_for_a_host_in_which_it_has_begun_nothing(tmp_path):
+    fleet = fleet_of(tmp_path, "12.0", TOGETHER)
+    start_of(fleet)
+    fleet.run(said(fleet, "met")[0] + 5.0 - fleet.now)
+    fleet.crash("bravo")
+    fleet.run(20.0)
+    (asked, _), (threw, why) = said(fleet, "asks"), said(fleet, "threw")
+    assert threw - asked < 0.6, "as long as the other call takes"
+    assert re.fullmatch(r"bravo could not be reached: there has been no link for .* \(far.look\(\) has not begun\)", why)
 
 
 def test_the_time_of_a_host_that_is_away_is_counted_from_the_end_of_its_link(tmp_path):
