@@ -63,6 +63,7 @@ class Answer:
     notes: Sequence[str] = ()
     teams: Sequence[Sequence[Offer]] | None = None
     agents: int = 0
+    is_cut: bool = False
 
 
 # --- for people ---------------------------------------------------------------------------------------
@@ -78,7 +79,8 @@ def show(
         if answer.offers:
             _show_offers(answer.offers, _Attributes(registry, question))
         else:
-            print("nobody can" if explain else "nobody can; --explain says why")
+            said = "nobody was found, and not all could be tried" if answer.is_cut else "nobody can"
+            print(said if explain else f"{said}; --explain says why")
         if answer.teams is not None:
             _show_teams(answer)
         for note in answer.notes:
