@@ -214,16 +214,20 @@ def _settled(registry: Registry, program: Program, plugins: Plugins, hollow: Col
     What we ship may not fit a resource of the program that only has the name of ours: then it does not count.
     No device tells anything of `hollow` types.
     """
-    devices = {
+    found = Diagnostics()
+    settled = settle_live(registry, _devices(program, hollow), plugins.device_types, found)
+    if wrong := [mistake for mistake in found.errors if not is_shipped(mistake)]:
+        raise ProgramError(wrong)
+    return settled
+
+
+def _devices(program: Program, hollow: Collection[str]) -> dict[str, dict[str, str]]:
+    """The devices of each resource type, by their fields."""
+    return {
         record.name: {field.name: field.type for field in record.devices}
         for record in program.core.classes
         if record.name not in hollow
     }
-    found = Diagnostics()
-    settled = settle_live(registry, devices, plugins.device_types, found)
-    if wrong := [mistake for mistake in found.errors if not is_shipped(mistake)]:
-        raise ProgramError(wrong)
-    return settled
 
 
 def agents_of(deploy: Path) -> list[str] | None:
@@ -292,8 +296,9 @@ def compile_file(
         resources = [name for name, kind in program.units.items() if kind == "resource"]
         check_types(capabilities.registry, capabilities.own, resources, known.find_source, found)
         check_questions(capabilities.registry, program, found)
-        if found.errors:
-            raise ProgramError([*checked.diagnostics, *found.in_order()])
+        settle_live(capabilities.registry, _devices(program, doubled), known.device_types, found)
+        if mistakes := [mistake for mistake in found.in_order() if not is_shipped(mistake)]:
+            raise ProgramError([*checked.diagnostics, *mistakes])
     return program, checked.diagnostics
 
 

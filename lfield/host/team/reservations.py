@@ -295,9 +295,10 @@ class Reservations:
             self._serve_queue(resource, found, now)
 
     def postpone(self, now: float) -> None:
-        """Time stood still for whoever waits: it has all its time again."""
+        """Time stood still for who waits and for who has something: they have all their time again."""
         for resource, found in self._resources.items():
             deadline = now + self._wait(resource)
+            found.until = max(found.until, now + self._lease)
             found.queue = deque(replace(each, deadline=deadline) for each in found.queue)
 
     # --- inside ---------------------------------------------------------------------------------------

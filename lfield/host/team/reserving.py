@@ -163,6 +163,9 @@ class Reserving:
     def received(self, message: ReservationMessage) -> None:
         """A host tells of the holder of a resource of this one."""
         now = self._clock.monotonic()
+        if self._team.paused:
+            # Whose renewals came late, as its host could not tell whether it has left, loses nothing.
+            self._core.postpone(now)
         match message:
             case Renew() if message.resource in self._resources:
                 start = message.agent, message.generation

@@ -106,6 +106,14 @@ def test_one_of_two_ways_to_fit_is_found_though_the_other_cannot_be_tried_out() 
     assert set(who) <= {f"f{99 - i}+c{i}" for i in range(100)}
 
 
+def test_a_rule_may_need_what_it_serves() -> None:
+    rule = composition("two", "Lift", {"left": "Lift", "right": "Lift"}, distinct=("left", "right"))
+    forks = Crew(*[candidate(f"f{i}", "Fork") for i in range(3)])
+    offers = Matcher(registry(FORK, rule), forks).offers("Lift")
+    pairs = ["f0+f1", "f0+f2", "f1+f0", "f1+f2", "f2+f0", "f2+f1"]
+    assert [offer.agent for offer in offers] == ["f0", "f1", "f2", *pairs]
+
+
 def test_a_sum_that_could_not_be_tried_out_is_told() -> None:
     rule = composition("pair", "Haul", PAIR, ["fork.reach - cart.reach == 1234"])
     team = [candidate(f"f{i}", "Fork", reach=1.0 + i) for i in range(100)]

@@ -269,6 +269,15 @@ def test_what_the_disk_has_goes_on_for_one_lease(desk: Desk) -> None:
     assert desk.effects() == [Write("leg", 8, ROVER, soon=False)]
 
 
+def test_who_has_something_through_a_pause_keeps_it_for_one_more_lease(desk: Desk) -> None:
+    number = desk.has(PILOT, 0.0)
+    desk.core.postpone(100.0)
+    desk.core.tick(100.0 + LEASE - 0.1)
+    assert desk.core.serves(PILOT, "arm", number, 100.0 + LEASE - 0.1)
+    desk.core.tick(100.0 + 3 * LEASE)
+    assert desk.core.of("arm") is None
+
+
 def test_who_waits_through_a_pause_has_all_its_time_again(desk: Desk) -> None:
     number = desk.has(PILOT, 0.0)
     assert desk.core.take(ROVER, "arm", 1.0, nested=False) == 0
