@@ -57,18 +57,21 @@ class Answer:
 class Teams:
     """Teams of offers, best first, the members of each best first; how many agents there are for one.
 
-    Of `cut` rules not all combinations of parts could be tried, nor of the members if there are `more`.
+    Of `cut` rules not all combinations of parts could be tried, nor of the members if there are `more`. Of
+    `full` rules only the best so many combinations could be members.
     """
 
     teams: Sequence[Sequence[Offer]]
     agents: int
     cut: tuple[str, ...] = ()
     more: bool = False
+    full: tuple[str, ...] = ()
 
     @property
     def notes(self) -> list[str]:
         """What was left out, a sentence each."""
         found = [f"{rule}: {TOO_MANY}" for rule in self.cut]
+        found += [f"{rule}: only the best combinations can be in a team" for rule in self.full]
         return [*found, "there are more teams than could be tried"] if self.more else found
 
 
@@ -129,7 +132,7 @@ class Matcher:
         if wish.order:
             members, cost = Stream(_by_agents(self._ordered(search, wish.order)[0])), _no_cost
         else:
-            members, cost = Stream(_by_agents(search.plans())), self._rules.ranking.whole
+            members, cost = Stream(_by_agents(search.plans(looks_on=True))), self._rules.ranking.whole
         found, more = [], False
         try:
             effort = Effort(self._limits.tried, self._limits.steps)
@@ -138,7 +141,7 @@ class Matcher:
         except GivenUp:
             more = True
         agents = len(_agents(members.all()))
-        return Teams(found, agents, tuple(sorted(search.cut)), more)
+        return Teams(found, agents, tuple(sorted(search.cut)), more, tuple(sorted(search.full)))
 
     def agents(self, primitive: str, wish: Wish = ANYBODY) -> int:
         """How many agents take part in any offer."""
@@ -175,6 +178,8 @@ class Matcher:
             given[plan.composition] += 1
             if not plan.composition or given[plan.composition] <= self._limits.per_rule:
                 best.append(plan)
+            else:
+                search.full.add(plan.composition)
         return best, tuple(unordered)
 
 
