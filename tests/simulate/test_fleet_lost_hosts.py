@@ -98,7 +98,9 @@ def test_a_together_does_not_wait_either_for_a_host_in_which_it_has_begun_nothin
     fleet.run(20.0)
     (asked, _), (threw, why) = said(fleet, "asks"), said(fleet, "threw")
     assert threw - asked < 0.6, "as long as the other call takes"
-    assert re.fullmatch(r"bravo could not be reached: there has been no link for .* \(far.look\(\) has not begun\)", why)
+    assert re.fullmatch(
+        r"bravo could not be reached: there has been no link for .* \(far.look\(\) has not begun\)", why
+    )
 
 
 def test_the_time_of_a_host_that_is_away_is_counted_from_the_end_of_its_link(tmp_path):
