@@ -305,15 +305,20 @@ def mission_problems(deploy: Path) -> list[Finding]:
     program = beside(deploy, ".L")
     if program is None:
         return []
+    found: list[Finding] = []
+    bound = Bindings()
     try:
-        bound = load_mission(deploy, simulate=True).bindings if beside(deploy, DEVICES) else Bindings()
+        if beside(deploy, DEVICES):
+            whole = load_mission(deploy, simulate=True)
+            found += [Remark(told, "warning") for told in _stated_twice(whole)]
+            bound = whole.bindings
         loaded = compile_file(program)[0]
         deployment = read_deployment(deploy, loaded.units)
         team = team_of(deployment.rows, deployment.kinds, deployment.ports)
         mission = _decided(Mission(deploy.stem, loaded, team, bound, KnownDrivers({})), deployment)
     except BindingError as error:
         return [*error.findings, *(Remark(problem) for problem in error.problems[len(error.findings) :])]
-    return list(_doubts(deployment, mission))
+    return [*found, *_doubts(deployment, mission)]
 
 
 def check_file(path: Path) -> Sequence[Finding]:

@@ -141,10 +141,16 @@ class Assembly:
                 return ", ".join([f"{name} is not known", *dict.fromkeys(map(why, lacking))])
             index, attribute = self._place(name)
             if attribute in POSITION:
-                return f"the position of {self._needs[index]} is not known"
+                return f"the position of {self._needs[index]} is not known{_in_part(parts[index])}"
             return f"of {self._needs[index]}, {parts[index].why(attribute)}"
 
         return why
+
+
+def _in_part(part: Plan) -> str:
+    """What lacks of a position of which the rest is known."""
+    lacking = [axis for axis in POSITION if axis not in part.values]
+    return f": {', '.join(map(part.why, lacking))}" if len(lacking) < len(POSITION) else ""
 
 
 def _joined(found: Sequence[Value]) -> Value:

@@ -9,7 +9,7 @@ from itertools import islice
 from typing import Any
 
 from lfield.capability.matching.evaluate import evaluator, names
-from lfield.capability.matching.explain import TOO_MANY, Explanation
+from lfield.capability.matching.explain import TOO_MANY, Explanation, only_best
 from lfield.capability.matching.joining import Effort, GivenUp, Stream, teams
 from lfield.capability.matching.plan import Plan
 from lfield.capability.matching.rules import Rules
@@ -22,7 +22,8 @@ from lfield.capability.offer import Offer, Refusal, Team
 class Answer:
     """The best offers, best first; how many there are; and what the search left out, in words.
 
-    Of `cut` rules not all combinations of parts could be tried: there may be more offers, and better ones.
+    Of `cut` rules not all combinations of parts could be tried: there may be more offers, and better ones. Of
+    `full` rules only the best `per_rule` are offered.
     `unordered` are attributes that nobody states and by which was to be ordered.
     """
 
@@ -30,11 +31,13 @@ class Answer:
     count: int
     cut: tuple[str, ...] = ()
     unordered: tuple[str, ...] = ()
+    full: tuple[str, ...] = ()
+    per_rule: int = 0
 
     @property
     def notes(self) -> list[str]:
         """What was left out, a sentence each."""
-        found = []
+        found = [f"{rule}: {only_best(self.per_rule)}" for rule in self.full if rule not in self.cut]
         if self.count > len(self.offers):
             least = "at least " if self.cut else ""
             found.append(f"the best {len(self.offers)} of {least}{self.count} offers are given")
@@ -110,7 +113,8 @@ class Matcher:
             plans, unordered = list(islice(search.plans(), most)), ()
             count = len(plans) if len(plans) < most else max(len(plans), search.count())
         offers = [plan.offer for plan in plans[:most]]
-        return Answer(offers, count, tuple(sorted(search.cut)), unordered)
+        cut, full = (tuple(sorted(names)) for names in (search.cut, search.full))
+        return Answer(offers, count, cut, unordered, full, self._limits.per_rule)
 
     def offers(self, primitive: str, constraint: Expression | None = None) -> Sequence[Offer]:
         """The best who serve the primitive and fulfil a condition."""
@@ -132,7 +136,7 @@ class Matcher:
         if wish.order:
             members, cost = Stream(_by_agents(self._ordered(search, wish.order)[0])), _no_cost
         else:
-            members, cost = Stream(_by_agents(search.plans(looks_on=True))), self._rules.ranking.whole
+            members, cost = Stream(_by_agents(search.plans())), self._rules.ranking.whole
         found, more = [], False
         try:
             effort = Effort(self._limits.tried, self._limits.steps)

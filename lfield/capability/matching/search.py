@@ -91,7 +91,7 @@ class Search:
         self.asked = Asked(named(constraint).union(also_named), team.here())
         #: Compositions of which not all combinations were tried.
         self.cut: set[str] = set()
-        #: Compositions of which there are more combinations than are offered.
+        #: Compositions of which only the best are offered.
         self.full: set[str] = set()
         self._team = team
         self._effort = Effort(limits.tried, limits.steps)
@@ -119,17 +119,14 @@ class Search:
             self._agents[primitive] = sorted(plans, key=_cost)
         return self._agents[primitive]
 
-    def plans(self, *, looks_on: bool = False) -> Iterator[Plan]:
-        """All plans that fulfil the constraint, the best first; of each composition the best.
-
-        Who `looks_on` gets to know of which there are more, in `full`.
-        """
+    def plans(self) -> Iterator[Plan]:
+        """All plans that fulfil the constraint, the best first; of each composition the best."""
         given: Counter[str] = Counter()
         found = []
         for way in self._ways(self.primitive, self.limits.depth, NOTHING):
             plans = self._plans(way, self.primitive, self.limits.depth, NOTHING, self.wishes)
             if way.assembly is not None:
-                plans = self._not_full(plans, way.assembly, given, looks_on)
+                plans = self._not_full(plans, way.assembly, given)
             found.append((way.bound, plans))
         for plan in _merged(found):
             if not plan.composition:
@@ -164,16 +161,14 @@ class Search:
             if next(plans, None) is not None:
                 self.cut.add(way.assembly.rule.name)
 
-    def _not_full(
-        self, plans: Iterator[Plan], assembly: Assembly, given: Counter[str], looks_on: bool
-    ) -> Iterator[Plan]:
+    def _not_full(self, plans: Iterator[Plan], assembly: Assembly, given: Counter[str]) -> Iterator[Plan]:
         """The plans, until enough of the composition were given, here or by other chains."""
         while given[assembly.rule.name] < self.limits.per_rule:
             plan = next(plans, None)
             if plan is None:
                 return
             yield plan
-        if looks_on and next(plans, None) is not None:
+        if next(plans, None) is not None:
             self.full.add(assembly.rule.name)
 
     def serves(self, primitive: str, chain: Chain, depth: int, used: Used, wishes: Wishes) -> bool:

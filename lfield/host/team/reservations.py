@@ -205,11 +205,12 @@ class Reservations:
             self._queue_up(found, _Waiting(start, "take", now + self._wait(resource)))
         return 0
 
-    def serves(self, start: Start, resource: str, number: int, now: float) -> bool:
+    def serves(self, start: Start, resource: str, number: int, now: float, *, nested: bool = False) -> bool:
         """Whether a portal may begin for somebody who has it by this number (0: not at all); else it waits.
 
-        Raises Refused. A call of the holder without the number is made outside of its block: so it has left
-        that, and what says so was lost, or is on its way.
+        Raises Refused, at once for who has something else (`nested`) and would have to wait. A call of the
+        holder without the number is made outside of its block: so it has left that, and what says so was
+        lost, or is on its way.
         """
         found = self._find(resource, now)
         if number:
@@ -222,7 +223,7 @@ class Reservations:
         if found.holder is None and not found.makes_way(start):
             self._leave_queue(found, start)
             return True
-        if start in found.late or self._wait(resource) <= 0:
+        if start in found.late or nested or self._wait(resource) <= 0:
             self._leave_queue(found, start)
             raise Refused(RESERVED, self._words(resource, found, now, start))
         self._queue_up(found, _Waiting(start, "call", now + self._wait(resource)))

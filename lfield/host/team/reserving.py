@@ -126,8 +126,9 @@ class Reserving:
         if not self._leases.may_begin(agent):
             return False
         start = agent.id, agent.generation
+        nested = not number and bool(self._machine.held(agent))
         try:
-            serves = self._core.serves(start, resource.id, number, self._clock.monotonic())
+            serves = self._core.serves(start, resource.id, number, self._clock.monotonic(), nested=nested)
         except Refused as refused:
             raise Trap(refused.kind, str(refused), resource.id) from None
         finally:
