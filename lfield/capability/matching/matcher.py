@@ -60,18 +60,21 @@ class Answer:
 class Teams:
     """Teams of offers, best first, the members of each best first; how many agents there are for one.
 
-    Of `cut` rules not all combinations of parts could be tried, nor of the members if there are `more`.
+    Of `cut` rules not all combinations of parts could be tried, nor of the members if there are `more`. Of
+    `full` rules only the best so many combinations could be members.
     """
 
     teams: Sequence[Sequence[Offer]]
     agents: int
     cut: tuple[str, ...] = ()
     more: bool = False
+    full: tuple[str, ...] = ()
 
     @property
     def notes(self) -> list[str]:
         """What was left out, a sentence each."""
         found = [f"{rule}: {TOO_MANY}" for rule in self.cut]
+        found += [f"{rule}: only the best combinations can be in a team" for rule in self.full]
         return [*found, "there are more teams than could be tried"] if self.more else found
 
 
@@ -142,7 +145,7 @@ class Matcher:
         except GivenUp:
             more = True
         agents = len(_agents(members.all()))
-        return Teams(found, agents, tuple(sorted(search.cut)), more)
+        return Teams(found, agents, tuple(sorted(search.cut)), more, tuple(sorted(search.full)))
 
     def agents(self, primitive: str, wish: Wish = ANYBODY) -> int:
         """How many agents take part in any offer."""
