@@ -60,8 +60,8 @@ class Answer:
 class Teams:
     """Teams of offers, best first, the members of each best first; how many agents there are for one.
 
-    Of `cut` rules not all combinations of parts could be tried, nor of the members if there are `more`. Of
-    `full` rules only the best so many combinations could be members.
+    There are `others` that are not given. Of `cut` rules not all combinations of parts could be tried, nor of
+    the members if there are `more`. Of `full` rules only the best so many combinations could be members.
     """
 
     teams: Sequence[Sequence[Offer]]
@@ -69,11 +69,13 @@ class Teams:
     cut: tuple[str, ...] = ()
     more: bool = False
     full: tuple[str, ...] = ()
+    others: bool = False
 
     @property
     def notes(self) -> list[str]:
         """What was left out, a sentence each."""
-        found = [f"{rule}: {TOO_MANY}" for rule in self.cut]
+        found = [f"the best {len(self.teams)} of more teams are given"] if self.others else []
+        found += [f"{rule}: {TOO_MANY}" for rule in self.cut]
         found += [f"{rule}: only the best combinations can be in a team" for rule in self.full]
         return [*found, "there are more teams than could be tried"] if self.more else found
 
@@ -138,14 +140,16 @@ class Matcher:
         else:
             members, cost = Stream(_by_agents(search.plans())), self._rules.ranking.whole
         found, more = [], False
+        most = wish.limit or self.most
         try:
             effort = Effort(self._limits.tried, self._limits.steps)
-            for team in islice(teams(members, size, cost, effort), wish.limit or self.most):
+            for team in islice(teams(members, size, cost, effort), most + 1):
                 found.append([plan.offer for plan in team])
         except GivenUp:
             more = True
         agents = len(_agents(members.all()))
-        return Teams(found, agents, tuple(sorted(search.cut)), more, tuple(sorted(search.full)))
+        cut, full = (tuple(sorted(names)) for names in (search.cut, search.full))
+        return Teams(found[:most], agents, cut, more, full, len(found) > most)
 
     def agents(self, primitive: str, wish: Wish = ANYBODY) -> int:
         """How many agents take part in any offer."""
