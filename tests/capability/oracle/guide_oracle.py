@@ -205,8 +205,17 @@ class Oracle:
 
     # --- rules ------------------------------------------------------------------------------------------
 
-    def ways(self, primitive: str, depth: int = DEPTH, passed: frozenset[str] = frozenset()) -> Iterator[Way]:
-        """Everybody who serves a primitive, by so many rules at most; `passed` are those of the chain."""
+    def ways(
+        self,
+        primitive: str,
+        depth: int = DEPTH,
+        passed: frozenset[str] = frozenset(),
+        around: frozenset[str] = frozenset(),
+    ) -> Iterator[Way]:
+        """Everybody who serves a primitive, by so many rules at most.
+
+        `passed` are the primitives of the chain, `around` the rules of the wholes that it is part of.
+        """
         for number, (name, type, host) in enumerate(self.world.team):
             served = self.world.providers[type]["serves"].get(primitive)
             if served is None or name in self.world.refused:
@@ -219,19 +228,21 @@ class Oracle:
             return
         for rule, said in self.world.one_to_one.items():
             if said["serves"] == primitive and said["by"] not in passed | {primitive}:
-                for way in self.ways(said["by"], depth - 1, passed | {primitive}):
+                for way in self.ways(said["by"], depth - 1, passed | {primitive}, around):
                     if said.get("when") is None or worth(said["when"], way.facts) is True:
                         cost = round(way.cost + self.weights["loss"] * said["loss"], 9)
                         tree = f"{rule}({way.tree})"
                         yield Way(tree, cost, way.facts, way.agents, (rule, *way.rules), way.end)
         for rule, said in self.world.one_to_many.items():
-            if said["serves"] == primitive:
-                yield from self._wholes(rule, said, depth - 1)
+            if said["serves"] == primitive and rule not in around:
+                yield from self._wholes(rule, said, depth - 1, around | {rule})
 
-    def _wholes(self, rule: str, said: Mapping[str, Any], depth: int) -> Iterator[Way]:
+    def _wholes(
+        self, rule: str, said: Mapping[str, Any], depth: int, around: frozenset[str]
+    ) -> Iterator[Way]:
         choices = []
         for need in said["needs"].values():
-            found = self.ways(need["capability"], depth)
+            found = self.ways(need["capability"], depth, around=around)
             choices.append([w for w in found if need["when"] is None or worth(need["when"], w.facts) is True])
         for parts in product(*choices):
             whole = self._whole(rule, said, dict(zip(said["needs"], parts, strict=True)))

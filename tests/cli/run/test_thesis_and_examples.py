@@ -125,6 +125,8 @@ def test_two_carry_one(lfield):
     team = lfield.start(
         "up", "--deploy", EXAMPLES / "05-two-carry-one" / "mission.dL", "--all", "--sim", "--until-done"
     )
+    team.wait_for("take the beam")
+    team.wait_for("bring a crate each")
     team.wait_for("the beam lies at")
     team.wait_for("the crates are there")
     assert team.wait() == 0, team.said

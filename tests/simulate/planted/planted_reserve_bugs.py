@@ -51,8 +51,10 @@ def numbers_begin_again(patch: Patch) -> None:
 def any_number_will_do(patch: Patch) -> None:
     serves = Reservations.serves
 
-    def whoever(self: Reservations, start: Start, resource: str, number: int, now: float) -> bool:
-        return bool(number) or serves(self, start, resource, number, now)
+    def whoever(
+        self: Reservations, start: Start, resource: str, number: int, now: float, *, nested: bool
+    ) -> bool:
+        return bool(number) or serves(self, start, resource, number, now, nested=nested)
 
     patch.setattr(Reservations, "serves", whoever)
 
