@@ -78,7 +78,8 @@ class Machine:
         cancelling = self._cancelling = Cancelling(scheduler)
         self._liveness = Liveness(program, scheduler.layouts)
         self.questions = Questions(scheduler)
-        self._soundness = Soundness(program, scheduler.layouts, [member.type for member in team])
+        types = [member.type for member in team]
+        self._soundness = Soundness(program, scheduler.layouts, types, self.engine.space)
         begun = self._begun = BegunCalls(scheduler, cancelling, self._soundness)
         #: The calls that were begun here, by what is told of them (see `BegunCalls`).
         self.begun_calls, self.fetched, self.kept_result = begun.calls, begun.fetched, begun.kept
@@ -98,7 +99,7 @@ class Machine:
     def start(self, member: Member, limits: Limits, generation: int) -> Agent:
         """Create an agent and the thread of its init; it runs at the next `run`."""
         record = self.program.class_index[member.type]
-        block = Block.empty(self.program.digest, limits.heap // 8)
+        block = Block.empty(self.program.digest, limits.heap // 8, self.engine.space)
         readings: list[Reading | None] = [None] * len(self.program.core.device_calls)
         agent = Agent(member, block, limits, readings, open=member.kind == "coordinator")
         agent.fenced = member.id in self._fenced

@@ -8,6 +8,9 @@ from __future__ import annotations
 
 from lfield.vm.memory.block import INITIAL_WORDS, RESERVE_WORDS, Block
 from lfield.vm.memory.layout import HEADER_WORDS, MAGIC, ROOTS, VERSION, W_MAGIC, Layouts
+from lfield.vm.memory.space import Buffer
+
+_NEW_WORDS = memoryview(bytes(8 * HEADER_WORDS)).cast("q")
 
 
 def collect(block: Block, layouts: Layouts, room: int = 0) -> None:
@@ -19,27 +22,25 @@ def collect(block: Block, layouts: Layouts, room: int = 0) -> None:
     wanted = max(INITIAL_WORDS, 2 * (top + room))
     most = block.limit if top + room <= block.limit else block.limit + RESERVE_WORDS
     words = max(top, min(wanted, most))
-    data.extend(bytes(max(0, 8 * words - len(data))))
-    del data[8 * words :]
-    block.replace(data, top)
+    block.replace(block.space.sized(data, 8 * words), top)
 
 
 def compact(block: Block, layouts: Layouts) -> None:
     """Compact the block and leave no room at all: it is about to travel."""
     data, top = _compact(block, layouts)
-    del data[8 * top :]
-    block.replace(data, top)
+    block.replace(block.space.sized(data, 8 * top), top)
 
 
-def _compact(block: Block, layouts: Layouts) -> tuple[bytearray, int]:
+def _compact(block: Block, layouts: Layouts) -> tuple[Buffer, int]:
     """A copy of the block with only what is alive, and its top. Spoils the block's own bytes.
 
     The copy has the header of this version: what is new in it is 0.
     """
     old = block.w
-    data = bytearray(8 * (block.top + HEADER_WORDS - block.heap))
+    data = block.space.room(8 * (block.top + HEADER_WORDS - block.heap))
     new = memoryview(data).cast("q")
     new[: block.heap] = old[: block.heap]
+    new[block.heap : HEADER_WORDS] = _NEW_WORDS[block.heap :]
     new[W_MAGIC] = MAGIC | VERSION << 32
     top = HEADER_WORDS
     scan = 0

@@ -43,6 +43,7 @@ from lfield.vm.memory.layout import (
     Layouts,
 )
 from lfield.vm.memory.parcels import WORD
+from lfield.vm.memory.space import SEPARATE, Space
 from lfield.vm.memory.tickets import check_ticket
 
 #: For a reference: the low half of the header its target must have, or one of these: any object, any thing of
@@ -67,10 +68,15 @@ _TRAVELS = frozenset(BY_NAME[name].code for name in ("pcall", "start", "fetch", 
 
 
 class Soundness:
-    """The checks for blocks of one program; `members` are the types of the team's agents by number."""
+    """The checks for blocks of one program; `members` are the types of the team's agents by number.
 
-    def __init__(self, program: Program, layouts: Layouts, members: Sequence[str]) -> None:
-        self.program, self._layouts = program, layouts
+    A block that is sound has its bytes from `space`.
+    """
+
+    def __init__(
+        self, program: Program, layouts: Layouts, members: Sequence[str], space: Space = SEPARATE
+    ) -> None:
+        self.program, self._layouts, self._space = program, layouts, space
         self._portal_calls = _portal_calls(program)
         #: The class index of every member of the team, by its number.
         self.members = [self.program.class_index.get(name, -1) for name in members]
@@ -208,11 +214,11 @@ class Soundness:
             raise BlockError(f"{size} bytes are over the limit of {8 * limit}")
         # Room for what it will soon need: what a portal gives it, say.
         words = min(limit, max(INITIAL_WORDS, size // 8 * 3 // 2))
-        data = bytearray(max(size, 8 * words))
+        data = self._space.room(max(size, 8 * words))
         data[:size] = image
-        block = Block(data, size // 8, limit)
+        block = Block(data, size // 8, limit, self._space)
         w = block.w
-        if block.data[8 * layout.W_PROGRAM : 8 * layout.W_PROGRAM + 32] != self.program.digest:
+        if bytes(block.data[8 * layout.W_PROGRAM : 8 * layout.W_PROGRAM + 32]) != self.program.digest:
             raise BlockError("it belongs to another program", word=layout.W_PROGRAM)
         if w[layout.W_TOP] != size // 8 or block.top < block.heap:
             raise BlockError("its size is not what it says", word=layout.W_TOP)

@@ -15,6 +15,7 @@ from lfield.vm.memory.layout import (
     THREAD_PC,
     Layouts,
 )
+from lfield.vm.memory.space import SEPARATE, Space
 from lfield.vm.memory.values import EXCEPTION_WORDS, new_exception
 from lfield.vm.reference.prepare import Group, Prepared, Raised, prepare
 from lfield.vm.reference.registers import LEAVE, Registers
@@ -22,7 +23,9 @@ from lfield.vm.reference.unwind import find_handler, unwind
 
 
 class Engine:
-    """Runs threads of blocks of one program. Keeps nothing between two calls of `run`."""
+    """Runs threads of blocks of one program, wherever their bytes are. Keeps nothing between two runs."""
+
+    space: Space = SEPARATE
 
     def __init__(self, program: Program, now: Callable[[], float]) -> None:
         self.program = program
