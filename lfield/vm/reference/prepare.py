@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import struct
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,6 +9,7 @@ from lfield.bytecode.opcodes import BY_CODE, BY_NAME, Opcode
 from lfield.bytecode.program import HELD, PROXY, REAL, VOID, DeviceCall, MethodRecord, Program, Quad
 from lfield.vm.contract import PLAIN, Group, Trap
 from lfield.vm.memory.layout import Layouts
+from lfield.vm.memory.values import word_of
 from lfield.vm.reference import arithmetic, calls, memory
 from lfield.vm.reference.calls import Argument
 from lfield.vm.reference.library import FUNCTIONS, Function
@@ -38,7 +38,7 @@ def prepare(program: Program) -> Prepared:
 def _bits(value: bool | int | float | str | None) -> int:
     """The word a constant is in a slot: reals by their bits, null as 0."""
     if isinstance(value, float):
-        return int(struct.unpack("<q", struct.pack("<d", value))[0])
+        return word_of(value)
     return int(value) if isinstance(value, int) else 0
 
 
