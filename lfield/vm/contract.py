@@ -65,6 +65,11 @@ class Spent(Exit):
 
 
 @dataclass(frozen=True, slots=True)
+class Stopped(Exit):
+    """The thread has come to an instruction where its engine was asked to stop."""
+
+
+@dataclass(frozen=True, slots=True)
 class Blocked(Exit):
     """Another thread of the agent holds the monitor; the instruction runs again later."""
 
@@ -105,4 +110,5 @@ class Trap(Exception):
 
 
 SPENT = Spent()
+STOPPED = Stopped()
 BLOCKED = Blocked()

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Container, Sequence
 from operator import length_hint
 
 from lfield.bytecode.program import Program
-from lfield.vm.contract import SPENT, Exit, Limits, NoRoom, Reading, Thrown, Trap
+from lfield.vm.contract import SPENT, STOPPED, Exit, Limits, NoRoom, Reading, Thrown, Trap
 from lfield.vm.memory.block import Block, Full
 from lfield.vm.memory.layout import (
     FRAME_SLOTS,
@@ -61,8 +61,11 @@ class Engine:
         budget: int,
         limits: Limits,
         readings: Sequence[Reading | None] = (),
+        stops: Container[int] | None = None,
     ) -> Exit:
         """Run the thread at `thread` for at most `budget` instructions; `readings` are by device call.
+
+        Where there are `stops`, at least one instruction is done, and none at a stop after that.
 
         On return the thread's frame and pc in the block are where it will go on: behind what is done, or at
         the instruction (the group) that could not be done here.
@@ -81,10 +84,15 @@ class Engine:
         going = True
         while going:
             try:
-                self._go(m)
+                if stops is None:
+                    self._go(m)
+                else:
+                    self._go_to(m, stops)
                 going = False
             except (Trap, Raised, Full, ValueError, ArithmeticError) as error:
                 going = self._recover(m, error)
+                if going and stops is not None and m.pc in stops:
+                    m.exit, going = STOPPED, False
         w[thread + THREAD_FRAME] = m.frame
         w[thread + THREAD_PC] = m.pc
         return m.exit
@@ -98,6 +106,20 @@ class Engine:
             pc = steps[pc](m)
             if pc == LEAVE:
                 return
+        m.pc = pc
+
+    def _go_to(self, m: Registers, stops: Container[int]) -> None:
+        """As `_go`, but not beyond a stop."""
+        steps = self.prepared.steps
+        pc = m.pc
+        for _ in m.instructions:
+            m.pc = pc
+            pc = steps[pc](m)
+            if pc == LEAVE:
+                return
+            if pc in stops:
+                m.exit = STOPPED
+                break
         m.pc = pc
 
     def _recover(self, m: Registers, error: Exception) -> bool:

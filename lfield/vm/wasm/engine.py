@@ -1,0 +1,141 @@
+"""The engine in WebAssembly: runs what it has functions for, and has the reference engine do the rest.
+
+Both work on the same block, and where one stops the other goes on: a thread's place in the block is always
+one that the reference engine knows, and at each *point* WebAssembly can take over again.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Callable, Sequence
+
+import wasmtime
+from wasmtime import _ffi as ffi
+
+from lfield.bytecode.program import Program
+from lfield.vm.contract import SPENT, STOPPED, Done, Exit, Limits, Reading
+from lfield.vm.memory.block import Block
+from lfield.vm.memory.layout import THREAD_FRAME, THREAD_ID, THREAD_PC, Layouts
+from lfield.vm.reference import Engine as Reference
+from lfield.vm.reference.prepare import Group, Prepared
+from lfield.vm.wasm.arena import Arena, compiler
+from lfield.vm.wasm.method import DONE, SHORT
+from lfield.vm.wasm.module import REGISTERS, module
+
+_BASE, _TOP, _END, _FRAME, _POINT, _LEFT, _DEPTH, _THREAD, _LONGEST, _PC, _WORD = range(len(REGISTERS))
+
+
+class Engine:
+    """Runs threads of blocks of one program; blocks outside its arena only by the reference engine."""
+
+    def __init__(self, program: Program, now: Callable[[], float]) -> None:
+        self.program = program
+        self._reference = Reference(program, now)
+        self.prepared: Prepared = self._reference.prepared
+        made = module(self.prepared)
+        self._points = made.points
+        self.space = Arena(made.low)
+        compiled = wasmtime.Module(compiler(self.space.reservation), wasmtime.wat2wasm(made.text))
+        store = self.space.store
+        instance = wasmtime.Instance(store, compiled, [self.space.memory])
+        self._registers = self.space.view(0, 8 * len(REGISTERS)).cast("q")
+        self._enter = _entered(store, instance.exports(store)["run"])
+        self._left = 0
+        self._asked = False
+
+    @property
+    def layouts(self) -> Layouts:
+        """Where references are, for the collector and the copier."""
+        return self.prepared.layouts
+
+    def group(self, pc: int) -> Group:
+        """The group that begins at an instruction."""
+        return self.prepared.groups[pc]
+
+    @property
+    def asked(self) -> bool:
+        """Whether the last run has read what is beyond the block."""
+        return self._asked
+
+    @property
+    def unused(self) -> int:
+        """How many instructions of its budget the last run has not used."""
+        return self._left
+
+    def run(
+        self,
+        block: Block,
+        thread: int,
+        budget: int,
+        limits: Limits,
+        readings: Sequence[Reading | None] = (),
+    ) -> Exit:
+        """As `lfield.vm.reference.Engine.run`."""
+        reference, points, w = self._reference, self._points, block.w
+        self._left, self._asked = budget, False
+        base = self.space.base(block.data)
+        while self._left > 0:
+            point = points.get(w[thread + THREAD_PC], 0) if base >= 0 else 0
+            short = False
+            if point:
+                status = self._resume(block, thread, base, point, limits)
+                if status == DONE:
+                    return Done(self._registers[_WORD])
+                if not self._left:
+                    return SPENT
+                short = status == SHORT
+            stops = points if base >= 0 and not short else None
+            leave = reference.run(block, thread, self._left, limits, readings, stops)
+            self._left = reference.unused
+            self._asked = self._asked or reference.asked
+            if leave is not STOPPED:
+                return leave
+        return SPENT
+
+    def _resume(self, block: Block, thread: int, base: int, point: int, limits: Limits) -> int:
+        """Let WebAssembly run from a point on; the block says afterwards where it stands."""
+        registers, w = self._registers, block.w
+        registers[_BASE] = base
+        registers[_TOP] = base + 8 * block.top
+        registers[_END] = base + 8 * block.end
+        registers[_FRAME] = base + 8 * w[thread + THREAD_FRAME]
+        registers[_POINT] = point
+        registers[_LEFT] = self._left
+        registers[_DEPTH] = limits.call_depth
+        registers[_THREAD] = w[thread + THREAD_ID]
+        registers[_LONGEST] = limits.array_length
+        status = self._enter()
+        block.top = registers[_TOP] - base >> 3
+        w[thread + THREAD_FRAME] = registers[_FRAME] - base >> 3
+        w[thread + THREAD_PC] = registers[_PC]
+        self._left = registers[_LEFT]
+        return status
+
+    def complete(self, block: Block, thread: int, word: int) -> None:
+        """Give the group the thread stands at its result; the thread goes on behind it."""
+        self._reference.complete(block, thread, word)
+
+    def throw(self, block: Block, thread: int, thrown: int) -> bool:
+        """Throw the object at `thrown` where the thread stands; false when nobody catches it."""
+        return self._reference.throw(block, thread, thrown)
+
+
+def _entered(store: wasmtime.Store, driver: wasmtime.Func) -> Callable[[], int]:
+    """The driver as a function of Python; it costs a tenth of what `driver(store)` does.
+
+    Raises wasmtime.Trap and WasmtimeError, which are bugs of ours.
+    """
+    call = ffi.wasmtime_func_call_unchecked
+    values = (ffi.wasmtime_val_raw_t * 1)()
+    trap = ctypes.POINTER(ffi.wasm_trap_t)()
+    context, function, into = store._context(), ctypes.byref(driver._func), ctypes.byref(trap)
+
+    def enter() -> int:
+        error = call(context, function, values, 1, into)
+        if error:
+            raise wasmtime.WasmtimeError._from_ptr(error)
+        if trap:
+            raise wasmtime.Trap._from_ptr(trap)
+        return int(values[0].i32)
+
+    return enter
