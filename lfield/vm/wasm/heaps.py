@@ -12,6 +12,7 @@ from lfield.vm.memory.layout import HEADER_WORDS, Layouts
 from lfield.vm.memory.shapes import Shapes
 from lfield.vm.memory.space import Buffer
 from lfield.vm.wasm.arena import PAGE, Arena, compiler, size_class
+from lfield.vm.wasm.calls import unsigned
 from lfield.vm.wasm.runtime.functions import Functions
 from lfield.vm.wasm.runtime.tables import layout_tables, shape_tables
 
@@ -39,7 +40,7 @@ class Heaps(Arena):
         tables = self._laid(layouts)
         if old < 0 or new < 0 or tables < 0:
             return 0
-        return self.functions.collect(tables, old, new, HEADER_WORDS) & 0xFFFFFFFF
+        return unsigned(self.functions.collect(tables, old, new, HEADER_WORDS))
 
     def copied(
         self,
