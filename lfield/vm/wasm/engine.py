@@ -18,8 +18,8 @@ from lfield.vm.reference import Engine as Reference
 from lfield.vm.wasm.arena import compiler
 from lfield.vm.wasm.calls import quick, unsigned
 from lfield.vm.wasm.heaps import Heaps
-from lfield.vm.wasm.method import DONE, SHORT
-from lfield.vm.wasm.module import REGISTERS, module
+from lfield.vm.wasm.lower.method import DONE, SHORT
+from lfield.vm.wasm.lower.module import REGISTERS, module
 
 _BASE, _TOP, _END, _FRAME, _POINT, _LEFT, _DEPTH, _THREAD, _LONGEST, _PC, _WORD = range(len(REGISTERS))
 
