@@ -10,18 +10,33 @@ from __future__ import annotations
 import struct
 from dataclasses import dataclass
 
+from lfield.bytecode.program import Program
 from lfield.vm.memory.layout import FRAME_CALLER, FRAME_DEPTH, FRAME_RETURN, FRAME_SLOTS
 from lfield.vm.reference.prepare import Prepared
-from lfield.vm.wasm.arena import STACK
 from lfield.vm.wasm.lower.maths import maths_name, maths_text
 from lfield.vm.wasm.lower.method import RETURNED, STEP, Method
 from lfield.vm.wasm.lower.routes import Irreducible
 from lfield.vm.wasm.lower.table import MATHS, RUNTIME
 
+#: The size of WebAssembly's own stack, in bytes.
+STACK = 1 << 20
 #: Words at the beginning of the memory. Addresses: of the block, its top, its end, the thread's frame. The
 #: point to resume at; the budget that is left; the depth of calls, the thread, the lengths of arrays and of texts
 #: that are allowed. The instruction where a run has ended, and the word it has given.
-REGISTERS = ("base", "top", "end", "frame", "point", "left", "depth", "thread", "longest", "text", "pc", "word")
+REGISTERS = (
+    "base",
+    "top",
+    "end",
+    "frame",
+    "point",
+    "left",
+    "depth",
+    "thread",
+    "longest",
+    "text",
+    "pc",
+    "word",
+)
 _AT = {name: 8 * i for i, name in enumerate(REGISTERS)}
 #: Where the table of returns is: what is to be done behind each call, by the instruction there.
 _RETURNS = 1024
@@ -29,23 +44,23 @@ _RETURNS = 1024
 
 @dataclass(frozen=True, slots=True)
 class Module:
-    """The text, the point of each instruction that has one, and how many bytes at the beginning it uses."""
+    """The text, and the point of each instruction that has one."""
 
     text: str
     points: dict[int, int]
-    low: int
 
 
 def module(prepared: Prepared) -> Module:
     """The module of a program."""
-    methods = {m.index: m for m in (_method(prepared, i) for i in range(len(prepared.program.core.methods))) if m}
+    methods = {
+        m.index: m for m in (_method(prepared, i) for i in range(len(prepared.program.core.methods))) if m
+    }
     for method in methods.values():
         method.others = methods.keys()
     functions = [m.text() for m in methods.values()]
     points = {pc: number for m in methods.values() for pc, number in m.points.items()}
     returns = _returns(prepared, points)
     segments = {name: data for m in methods.values() for name, data in m.segments.items()}
-    low = _RETURNS + len(returns)
     count = len(prepared.program.core.methods)
     deepest = _deepest(prepared)
     lines = [
@@ -69,7 +84,12 @@ def module(prepared: Prepared) -> Module:
         _driver(deepest),
         ")",
     ]
-    return Module("\n".join(line for line in lines if line) + "\n", points, low + -low % 8)
+    return Module("\n".join(line for line in lines if line) + "\n", points)
+
+
+def low_bytes(program: Program) -> int:
+    """How many bytes at the beginning of the memory the module uses."""
+    return _RETURNS + 8 * (len(program.quads) + 1)
 
 
 def _method(prepared: Prepared, index: int) -> Method | None:
