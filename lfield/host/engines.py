@@ -1,14 +1,10 @@
-"""Which engine a host runs its program on, and where the machine code is kept that it makes of it.
-
-The choice is `reference`, `wasm`, or `auto`: WebAssembly where wasmtime is installed (`lfield[wasm]`).
-"""
+"""Which engine a host runs its program on, and where the machine code is kept that it makes of it."""
 
 from __future__ import annotations
 
 import os
 from collections.abc import Callable
 from contextlib import suppress
-from importlib.util import find_spec
 from pathlib import Path
 
 from lfield.bytecode.program import Program
@@ -16,10 +12,8 @@ from lfield.errors import OutputFileError, UsageError
 from lfield.text.private import read_private, write_private
 from lfield.vm.contract import Engine, Engines
 from lfield.vm.reference import Engine as Reference
+from lfield.vm.wasm.choice import MISSING, has_wasm
 
-CHOICES = ("auto", "wasm", "reference")
-#: What is missing for the fast engine, and its cure.
-MISSING = "the engine in WebAssembly needs wasmtime: pip install 'lfield[wasm]'"
 #: Larger than the code of any program.
 _MOST = 256 << 20
 #: So many programs are kept, the last that were compiled.
@@ -28,13 +22,11 @@ KEPT = 64
 Note = Callable[[str], None]
 
 
-def has_wasm() -> bool:
-    """Whether wasmtime is installed; nothing of it is loaded yet."""
-    return find_spec("wasmtime") is not None
-
-
 def engines_for(choice: str, note: Note) -> Engines:
-    """What makes a machine's engine; `note` takes lines for the log. Raises UsageError."""
+    """What makes a machine's engine, of `lfield.vm.wasm.choice`; `note` takes lines for the log.
+
+    Raises UsageError where what was asked for cannot be had.
+    """
     if choice == "wasm" and not has_wasm():
         raise UsageError(MISSING)
     if choice == "reference" or not has_wasm():

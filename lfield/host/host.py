@@ -64,7 +64,7 @@ class Options:
 
     `journal` keeps what this host has of coordinators; without one that is gone with its process, and all
     hosts are heard before any is started. `first_start`: somebody says that there was no start before.
-    `engine` is one of `lfield.host.engines.CHOICES`. Times are in seconds.
+    `engine` is one of `lfield.vm.wasm.choice.CHOICES`. Times are in seconds.
     """
 
     listen: str

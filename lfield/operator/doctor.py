@@ -28,7 +28,7 @@ from lfield.driver.known import Drivers
 from lfield.driver.plugin import load_plugin
 from lfield.driver.plugins import Plugins
 from lfield.errors import DevicesError
-from lfield.host.engines import has_wasm
+from lfield.vm.wasm.choice import has_wasm
 
 #: Serial ports that robots have: USB adapters, boards with native USB, the pins of a Raspberry Pi or Jetson.
 PORTS = ("ttyUSB*", "ttyACM*", "ttyAMA*", "ttyTHS*", "serial0")

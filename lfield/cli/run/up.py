@@ -74,7 +74,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--engine",
         choices=("auto", "wasm", "reference"),
         default="auto",
-        help="what runs the program: WebAssembly, or the reference engine (default auto: the faster there is)",
+        help="what runs the program: WebAssembly or the reference engine (auto, the default: the faster)",
     )
     parser.add_argument(
         "--trust-network",

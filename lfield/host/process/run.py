@@ -51,7 +51,7 @@ async def run_host(
 
     `journal` is closed when it ends; without one it starts its coordinators when it has heard all hosts.
     `door` is the address where commands of this computer find it. `engine` says what runs the program
-    (`lfield.host.engines`).
+    (`lfield.vm.wasm.choice`).
 
     Raises AddressError and DevicesError when it cannot start.
     """

@@ -20,7 +20,8 @@ def collect(block: Block, layouts: Layouts, room: int = 0) -> None:
     """Compact the block and leave at least `room` words free if its limit (and reserve) allows.
 
     Whoever fills a small block again and again gets a larger one, up to GENEROUS, so that collections cost
-    little beside the work that makes the garbage. Every reference that lies outside the block (a thread's place, say) is wrong afterwards.
+    little beside the work that makes the garbage. Every reference that lies outside the block (a thread's
+    place, say) is wrong afterwards.
     """
     size = len(block.w)
     data, top = _compact(block, layouts)

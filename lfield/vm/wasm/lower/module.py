@@ -21,8 +21,8 @@ from lfield.vm.wasm.lower.table import MATHS, RUNTIME
 #: The size of WebAssembly's own stack, in bytes.
 STACK = 1 << 20
 #: Words at the beginning of the memory. Addresses: of the block, its top, its end, the thread's frame. The
-#: point to resume at; the budget that is left; the depth of calls, the thread, the lengths of arrays and of texts
-#: that are allowed. The instruction where a run has ended, and the word it has given.
+#: point to resume at; the budget that is left; the depth of calls, the thread, the lengths of arrays and of
+#: texts that are allowed. The instruction where a run has ended, and the word it has given.
 REGISTERS = (
     "base",
     "top",
@@ -106,7 +106,7 @@ def _deepest(prepared: Prepared) -> int:
 
 
 def _returns(prepared: Prepared, points: dict[int, int]) -> bytes:
-    """Two 32-bit numbers for each instruction: the point of the caller, and where in its frame the result goes.
+    """Two 32-bit numbers for each instruction behind a call: its point, and where in the frame a result goes.
 
     0 for no point, 0 for no result.
     """
@@ -137,7 +137,7 @@ def _entry(m: Method, prepared: Prepared) -> str:
 
 
 def _driver(deepest: int) -> str:
-    """`run`: from the registers, until something leaves; the result says how (`lfield.vm.wasm.lower.method`)."""
+    """`run`: from the registers, until something leaves; the result says how, as that of a method does."""
     into = {name: f"(i32.load (i32.const {_AT[name]}))" for name in ("base", "top", "end")}
     return f"""
 (func (export "run") (result i32)
