@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+from collections.abc import Iterable
 from functools import cache
 from importlib.resources import files
 
@@ -11,6 +13,10 @@ from lfield.vm.wasm.calls import quick
 
 #: The files of its text.
 PARTS = ("words", "collect", "copy", "sound", "strings", "texts")
+
+
+#: What is exported: its name, its parameters and result.
+_EXPORTED = re.compile(r'\(export "(\w+)"\)\s+((?:\((?:param|result)[^()]*\)\s*)+)')
 
 
 @cache
@@ -27,12 +33,23 @@ def runtime_module(engine: wasmtime.Engine) -> wasmtime.Module:
     return wasmtime.Module(engine, runtime_text())
 
 
+@cache
+def declared() -> dict[str, str]:
+    """By name, how another module imports each function: its parameters and its result."""
+    return {name: " ".join(kinds.split()) for name, kinds in _EXPORTED.findall(runtime_text())}
+
+
 class Functions:
     """The runtime over one memory. Addresses are bytes from its beginning; what each is: the .wat files."""
 
     def __init__(self, engine: wasmtime.Engine, store: wasmtime.Store, memory: wasmtime.Memory) -> None:
-        #: For modules that import its functions.
+        self._store = store
         self.instance = wasmtime.Instance(store, runtime_module(engine), [memory])
         self.collect = quick(store, self.instance, "collect", 4)
         self.deep_copy = quick(store, self.instance, "deep_copy", 9)
         self.sound = quick(store, self.instance, "sound", 5)
+
+    def named(self, names: Iterable[str]) -> list[wasmtime.Func]:
+        """Some functions, for another module to import."""
+        exports = self.instance.exports(self._store)
+        return [function for name in names if isinstance(function := exports[name], wasmtime.Func)]
