@@ -49,6 +49,8 @@ SMALL = {
     "lfield/testing/reports.py": "the guard's end of a driver, for tests",
     "lfield/text/findings.py": "the table class of all findings",
     "lfield/text/values.py": "values of devices in words",
+    "lfield/vm/maths/library.py": "which instruction is which function, a table",
+    "lfield/vm/memory/copier.py": "the deep copy",
     "lfield/vm/memory/parcels.py": "what waits to be fetched, as bytes",
 }
 

@@ -6,16 +6,15 @@ one that the reference engine knows, and at each *point* WebAssembly can take ov
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import wasmtime
 
 from lfield.bytecode.program import Program
-from lfield.vm.contract import SPENT, STOPPED, Done, Exit, Limits, Reading
+from lfield.vm.contract import SPENT, STOPPED, Done, Exit, Group, Limits, Reading
 from lfield.vm.memory.block import Block
 from lfield.vm.memory.layout import THREAD_FRAME, THREAD_ID, THREAD_PC, Layouts
 from lfield.vm.reference import Engine as Reference
-from lfield.vm.reference.prepare import Group, Prepared
 from lfield.vm.wasm.arena import compiler
 from lfield.vm.wasm.calls import quick, unsigned
 from lfield.vm.wasm.heaps import Heaps
@@ -28,11 +27,12 @@ _BASE, _TOP, _END, _FRAME, _POINT, _LEFT, _DEPTH, _THREAD, _LONGEST, _PC, _WORD,
 class Engine:
     """Runs threads of blocks of one program; blocks outside its arena only by the reference engine."""
 
+    pace = 20
+
     def __init__(self, program: Program, now: Callable[[], float]) -> None:
         self.program = program
         self._reference = Reference(program, now)
-        self.prepared: Prepared = self._reference.prepared
-        made = module(self.prepared)
+        made = module(self._reference.prepared)
         self._points = made.points
         self.space = Heaps(made.low)
         compiled = wasmtime.Module(compiler(self.space.reservation), made.text)
@@ -47,11 +47,12 @@ class Engine:
     @property
     def layouts(self) -> Layouts:
         """Where references are, for the collector and the copier."""
-        return self.prepared.layouts
+        return self._reference.layouts
 
-    def group(self, pc: int) -> Group:
-        """The group that begins at an instruction."""
-        return self.prepared.groups[pc]
+    @property
+    def groups(self) -> Mapping[int, Group]:
+        """The groups of the program, by their first instruction."""
+        return self._reference.groups
 
     @property
     def asked(self) -> bool:
