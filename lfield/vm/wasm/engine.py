@@ -18,10 +18,10 @@ from lfield.vm.reference import Engine as Reference
 from lfield.vm.wasm.arena import compiler
 from lfield.vm.wasm.calls import quick, unsigned
 from lfield.vm.wasm.heaps import Heaps
-from lfield.vm.wasm.method import DONE, SHORT
-from lfield.vm.wasm.module import REGISTERS, module
+from lfield.vm.wasm.lower.method import DONE, SHORT
+from lfield.vm.wasm.lower.module import REGISTERS, module
 
-_BASE, _TOP, _END, _FRAME, _POINT, _LEFT, _DEPTH, _THREAD, _LONGEST, _PC, _WORD, _MOST = range(len(REGISTERS))
+_BASE, _TOP, _END, _FRAME, _POINT, _LEFT, _DEPTH, _THREAD, _LONGEST, _PC, _WORD = range(len(REGISTERS))
 
 
 class Engine:
@@ -35,10 +35,9 @@ class Engine:
         made = module(self._reference.prepared)
         self._points = made.points
         self.space = Heaps(made.low)
-        compiled = wasmtime.Module(compiler(self.space.reservation), made.text)
+        compiled = wasmtime.Module(compiler(self.space.reservation), wasmtime.wat2wasm(made.text))
         store = self.space.store
-        imports = self.space.functions.named(made.imports)
-        instance = wasmtime.Instance(store, compiled, [self.space.memory, *imports])
+        instance = wasmtime.Instance(store, compiled, [self.space.memory])
         self._registers = self.space.view(0, 8 * len(REGISTERS)).cast("q")
         self._enter = quick(store, instance, "run", 0)
         self._left = 0
@@ -105,7 +104,7 @@ class Engine:
         registers[_LEFT] = self._left
         registers[_DEPTH] = limits.call_depth
         registers[_THREAD] = w[thread + THREAD_ID]
-        registers[_LONGEST], registers[_MOST] = limits.array_length, limits.string_length
+        registers[_LONGEST] = limits.array_length
         status = unsigned(self._enter())
         block.top = registers[_TOP] - base >> 3
         w[thread + THREAD_FRAME] = registers[_FRAME] - base >> 3

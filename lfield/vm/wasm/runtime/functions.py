@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import re
-from collections.abc import Iterable
 from functools import cache
 from importlib.resources import files
 
@@ -11,12 +9,8 @@ import wasmtime
 
 from lfield.vm.wasm.calls import quick
 
-#: The files of its text.
+#: The files of its text: what all use, what is done with whole heaps, what compiled methods call.
 PARTS = ("words", "collect", "copy", "sound", "strings", "texts")
-
-
-#: What is exported: its name, its parameters and result.
-_EXPORTED = re.compile(r'\(export "(\w+)"\)\s+((?:\((?:param|result)[^()]*\)\s*)+)')
 
 
 @cache
@@ -33,23 +27,16 @@ def runtime_module(engine: wasmtime.Engine) -> wasmtime.Module:
     return wasmtime.Module(engine, runtime_text())
 
 
-@cache
-def declared() -> dict[str, str]:
-    """By name, how another module imports each function: its parameters and its result."""
-    return {name: " ".join(kinds.split()) for name, kinds in _EXPORTED.findall(runtime_text())}
-
-
 class Functions:
-    """The runtime over one memory. Addresses are bytes from its beginning; what each is: the .wat files."""
+    """The runtime over one memory.
+
+    Each takes and gives whole numbers, which the .wat files explain; addresses are in bytes from the
+    beginning of the memory. Any trap in them is a bug of ours.
+    """
 
     def __init__(self, engine: wasmtime.Engine, store: wasmtime.Store, memory: wasmtime.Memory) -> None:
-        self._store = store
+        #: For modules that import its functions.
         self.instance = wasmtime.Instance(store, runtime_module(engine), [memory])
         self.collect = quick(store, self.instance, "collect", 4)
         self.deep_copy = quick(store, self.instance, "deep_copy", 9)
         self.sound = quick(store, self.instance, "sound", 5)
-
-    def named(self, names: Iterable[str]) -> list[wasmtime.Func]:
-        """Some functions, for another module to import."""
-        exports = self.instance.exports(self._store)
-        return [function for name in names if isinstance(function := exports[name], wasmtime.Func)]

@@ -1,8 +1,8 @@
 ;; The library's strings (table J.9), as lfield/vm/reference/library.py tells them in Python: the same bytes.
 ;;
-;; $base is the address of the block, a string a place in it. What makes a string puts it at the address $top
-;; when there is room before $end and it has at most $most characters, and gives its size in bytes. Where Python
-;; would raise (null, a bad index, no room, too long), and in a few rare cases more, 0 is given and nothing that
+;; $base is the address of the block, a string a place in it. What makes a string puts it at $top when there is
+;; room before $end and it has at most $most characters, and gives its size in words. Where Python would raise
+;; (null, a bad index, no room, too long), and in a few rare cases more, 0 words are given and nothing that
 ;; matters is written: the reference engine does that instruction.
 
 ;; How many characters there are in some bytes: those that do not go on with another one.
@@ -62,29 +62,30 @@
     (local.get $at))
 
 ;; The header of a string of so many bytes at $top, with 0 in its last word; its size, 0 without room.
-(func $begin_string (param $top i32) (param $end i32) (param $bytes i32) (result i32)
-    (local $size i32)
-    (local.set $size
-        (i32.add (i32.const 16)
-            (i32.and (i32.add (local.get $bytes) (i32.const 7)) (i32.const -8))))
-    (if (i64.gt_u
-            (i64.add (i64.extend_i32_u (local.get $top)) (i64.extend_i32_u (local.get $size)))
-            (i64.extend_i32_u (local.get $end)))
-        (then (return (i32.const 0))))
-    (i64.store (i32.sub (i32.add (local.get $top) (local.get $size)) (i32.const 8)) (i64.const 0))
-    (i64.store (local.get $top)
-        (i64.or (i64.const 3) (i64.shl (i64.extend_i32_u (local.get $size)) (i64.const 29))))
-    (i64.store offset=8 (local.get $top) (i64.extend_i32_u (local.get $bytes)))
-    (local.get $size))
+(func $begin_string (param $base i32) (param $top i64) (param $end i64) (param $bytes i32) (result i64)
+    (local $words i64) (local $at i32)
+    (local.set $words
+        (i64.add
+            (i64.const 2)
+            (i64.shr_u (i64.add (i64.extend_i32_u (local.get $bytes)) (i64.const 7)) (i64.const 3))))
+    (if (i64.gt_u (i64.add (local.get $top) (local.get $words)) (local.get $end))
+        (then (return (i64.const 0))))
+    (local.set $at (call $at (local.get $base) (local.get $top)))
+    (i64.store
+        (call $at (local.get $at) (i64.sub (local.get $words) (i64.const 1)))
+        (i64.const 0))
+    (i64.store (local.get $at) (i64.or (i64.const 3) (i64.shl (local.get $words) (i64.const 32))))
+    (i64.store offset=8 (local.get $at) (i64.extend_i32_u (local.get $bytes)))
+    (local.get $words))
 
 (func $str_concat (export "str_concat")
-    (param $base i32) (param $top i32) (param $end i32) (param $most i64)
+    (param $base i32) (param $top i64) (param $end i64) (param $most i64)
     (param $left i64) (param $right i64)
-    (result i32)
-    (local $first i32) (local $second i32) (local $before i32) (local $behind i32) (local $size i32)
+    (result i64)
+    (local $first i32) (local $second i32) (local $before i32) (local $behind i32) (local $words i64)
     (local $into i32)
     (if (i32.or (i64.eqz (local.get $left)) (i64.eqz (local.get $right)))
-        (then (return (i32.const 0))))
+        (then (return (i64.const 0))))
     (local.set $first (call $at (local.get $base) (local.get $left)))
     (local.set $second (call $at (local.get $base) (local.get $right)))
     (local.set $before (i32.load offset=8 (local.get $first)))
@@ -93,18 +94,18 @@
     (if (i64.gt_u
             (i64.extend_i32_u (i32.add (local.get $before) (local.get $behind)))
             (local.get $most))
-        (then (return (i32.const 0))))
-    (local.set $size
-        (call $begin_string (local.get $top) (local.get $end)
+        (then (return (i64.const 0))))
+    (local.set $words
+        (call $begin_string (local.get $base) (local.get $top) (local.get $end)
             (i32.add (local.get $before) (local.get $behind))))
-    (if (i32.eqz (local.get $size)) (then (return (i32.const 0))))
-    (local.set $into (i32.add (local.get $top) (i32.const 16)))
+    (if (i64.eqz (local.get $words)) (then (return (i64.const 0))))
+    (local.set $into (i32.add (call $at (local.get $base) (local.get $top)) (i32.const 16)))
     (call $move (local.get $into) (i32.add (local.get $first) (i32.const 16)) (local.get $before))
     (call $move
         (i32.add (local.get $into) (local.get $before))
         (i32.add (local.get $second) (i32.const 16))
         (local.get $behind))
-    (local.get $size))
+    (local.get $words))
 
 ;; How many characters a string has; -1 for null.
 (func $str_len (export "str_len") (param $base i32) (param $place i64) (result i64)
@@ -177,11 +178,11 @@
     (call $compare_strings (local.get $base) (local.get $left) (local.get $right)))
 
 (func $substring (export "substring")
-    (param $base i32) (param $top i32) (param $end i32) (param $most i64)
+    (param $base i32) (param $top i64) (param $end i64) (param $most i64)
     (param $place i64) (param $start i64) (param $stop i64)
-    (result i32)
-    (local $at i32) (local $bytes i32) (local $count i32) (local $from i32) (local $to i32) (local $size i32)
-    (if (i64.eqz (local.get $place)) (then (return (i32.const 0))))
+    (result i64)
+    (local $at i32) (local $bytes i32) (local $count i32) (local $from i32) (local $to i32) (local $words i64)
+    (if (i64.eqz (local.get $place)) (then (return (i64.const 0))))
     (local.set $at (call $at (local.get $base) (local.get $place)))
     (local.set $bytes (i32.load offset=8 (local.get $at)))
     (local.set $at (i32.add (local.get $at) (i32.const 16)))
@@ -189,9 +190,9 @@
     (if (i32.or
             (i64.gt_u (local.get $start) (local.get $stop))
             (i64.gt_u (local.get $stop) (i64.extend_i32_u (local.get $count))))
-        (then (return (i32.const 0))))
+        (then (return (i64.const 0))))
     (if (i64.gt_u (i64.sub (local.get $stop) (local.get $start)) (local.get $most))
-        (then (return (i32.const 0))))
+        (then (return (i64.const 0))))
     (if (i32.eq (local.get $count) (local.get $bytes))
         (then
             (local.set $from (i32.add (local.get $at) (i32.wrap_i64 (local.get $start))))
@@ -203,14 +204,14 @@
                     (local.get $from)
                     (i32.wrap_i64 (i64.sub (local.get $stop) (local.get $start)))))))
     (local.set $bytes (i32.sub (local.get $to) (local.get $from)))
-    (local.set $size
-        (call $begin_string (local.get $top) (local.get $end) (local.get $bytes)))
-    (if (i32.eqz (local.get $size)) (then (return (i32.const 0))))
+    (local.set $words
+        (call $begin_string (local.get $base) (local.get $top) (local.get $end) (local.get $bytes)))
+    (if (i64.eqz (local.get $words)) (then (return (i64.const 0))))
     (call $move
-        (i32.add (local.get $top) (i32.const 16))
+        (i32.add (call $at (local.get $base) (local.get $top)) (i32.const 16))
         (local.get $from)
         (local.get $bytes))
-    (local.get $size))
+    (local.get $words))
 
 ;; Where the second string first occurs in the first, in characters; -1: nowhere. -2 for null, and where the
 ;; way to look for it here, which is to try every place, might take long.

@@ -69,7 +69,7 @@ def test_a_block_grows_shrinks_and_is_collected_in_the_arena() -> None:
 
 def test_where_the_arena_is_full_blocks_lie_elsewhere(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("lfield.vm.wasm.arena.RESERVATIONS", (1 << 24,))
-    arena = Arena()
+    arena = Heaps()
     rooms = [arena.room(1 << 20) for _ in range(20)]
     assert arena.reservation == 1 << 24 < WHOLE
     inside = [arena.base(room) >= 0 for room in rooms]

@@ -46,28 +46,6 @@ _MEMBERS = f"""
               (local.set $y (i64.load offset={_MEMBER} {{c_at}}))))
 """
 
-
-def _string(call: str) -> str:
-    """A function of the runtime that makes a string at the top: it gives how many bytes, 0 for none."""
-    return f"""
-        (local.set $p ({call}))
-        leave (i32.eqz (local.get $p))
-        (local.set {{a}} (i64.extend_i32_u (i32.shr_u (i32.sub (global.get $top) (local.get $base)) (i32.const 3))))
-        (global.set $top (i32.add (global.get $top) (local.get $p)))
-    """
-
-
-def _order(comparison: str) -> str:
-    return f"""
-        (local.set $p (call $str_order (local.get $base) {{b}} {{c}}))
-        leave (i32.eq (local.get $p) (i32.const 2))
-        (local.set {{a}} (i64.extend_i32_u (i32.{comparison} (local.get $p) (i32.const 0))))
-    """
-
-
-_ROOM = "(global.get $top) (global.get $end) (global.get $most)"
-_SAME = "(call $str_equal (local.get $base) {b} {c})"
-
 ROWS: dict[str, str] = {
     # moves, fields, elements
     "move": "(local.set {a} {b})",
@@ -181,32 +159,6 @@ ROWS: dict[str, str] = {
         null 0
         (local.set {a} (i64.sub (i64.load32_u offset=4 {0_at}) (i64.const 1)))
     """,
-    # strings: lfield/vm/wasm/runtime
-    "str_concat": _string(f"call $str_concat (local.get $base) {_ROOM} {{0}} {{1}}"),
-    "substring": _string(f"call $substring (local.get $base) {_ROOM} {{0}} {{1}} {{2}}"),
-    "i2s": _string(f"call $i2s {_ROOM} {{0}}"),
-    "b2s": _string(f"call $b2s {_ROOM} {{0}}"),
-    "str_len": """
-        (local.set $x (call $str_len (local.get $base) {0}))
-        leave (i64.lt_s (local.get $x) (i64.const 0))
-        (local.set {a} (local.get $x))
-    """,
-    "index_of": """
-        (local.set $x (call $index_of (local.get $base) {0} {1}))
-        leave (i64.eq (local.get $x) (i64.const -2))
-        (local.set {a} (local.get $x))
-    """,
-    "s2i": f"""
-        (local.set $x (call $s2i (local.get $base) {{0}}))
-        leave (i64.eq (local.get $x) (i64.const {_MINIMUM}))
-        (local.set {{a}} (local.get $x))
-    """,
-    "eqs": f"(local.set {{a}} (i64.extend_i32_u {_SAME}))",
-    "snes": f"(local.set {{a}} (i64.extend_i32_u (i32.eqz {_SAME})))",
-    "slts": _order("lt_s"),
-    "sles": _order("le_s"),
-    "sgts": _order("gt_s"),
-    "sges": _order("ge_s"),
     "hops": f"(local.set {{a}} (i64.load offset={_HOPS} (local.get $base)))",
     "i2f": "(local.set {a} (f64.convert_i64_s {0}))",
     "f2i": """

@@ -7,36 +7,29 @@ of the memory.
 
 from __future__ import annotations
 
-import re
 import struct
 from dataclasses import dataclass
 
 from lfield.vm.memory.layout import FRAME_CALLER, FRAME_DEPTH, FRAME_RETURN, FRAME_SLOTS
 from lfield.vm.reference.prepare import Prepared
 from lfield.vm.wasm.arena import STACK
-from lfield.vm.wasm.method import RETURNED, STEP, Method
-from lfield.vm.wasm.routes import Irreducible
-from lfield.vm.wasm.runtime.functions import declared
+from lfield.vm.wasm.lower.method import RETURNED, STEP, Method
+from lfield.vm.wasm.lower.routes import Irreducible
 
 #: Words at the beginning of the memory. Addresses: of the block, its top, its end, the thread's frame. The
 #: point to resume at; the budget that is left; the depth of calls, the thread, the length of arrays that are
-#: allowed. The instruction where a run has ended, and the word it has given. The length of strings.
-REGISTERS = ("base", "top", "end", "frame", "point", "left", "depth", "thread", "longest", "pc", "word", "most")
+#: allowed. The instruction where a run has ended, and the word it has given.
+REGISTERS = ("base", "top", "end", "frame", "point", "left", "depth", "thread", "longest", "pc", "word")
 _AT = {name: 8 * i for i, name in enumerate(REGISTERS)}
 #: Where the table of returns is: what is to be done behind each call, by the instruction there.
 _RETURNS = 1024
-#: What functions call.
-_CALLED = re.compile(r"\(call \$(\w+) ")
 
 
 @dataclass(frozen=True, slots=True)
 class Module:
-    """The text, the functions of the runtime that it imports behind the memory, the point of each instruction
-    that has one, and how many bytes at the beginning it uses.
-    """
+    """The text, the point of each instruction that has one, and how many bytes at the beginning it uses."""
 
     text: str
-    imports: tuple[str, ...]
     points: dict[int, int]
     low: int
 
@@ -47,7 +40,6 @@ def module(prepared: Prepared) -> Module:
     for method in methods.values():
         method.others = methods.keys()
     functions = [m.text() for m in methods.values()]
-    imports = sorted(set(_CALLED.findall("\n".join(functions))) & declared().keys())
     points = {pc: number for m in methods.values() for pc, number in m.points.items()}
     returns = _returns(prepared, points)
     segments = {name: data for m in methods.values() for name, data in m.segments.items()}
@@ -57,11 +49,10 @@ def module(prepared: Prepared) -> Module:
     lines = [
         "(module",
         '(import "lfield" "memory" (memory 1))',
-        *(f'(import "runtime" "{name}" (func ${name} {declared()[name]}))' for name in imports),
         *(f"(global ${name} (mut i32) (i32.const 0))" for name in ("base", "top", "end", "frame", "pc")),
         *(
             f"(global ${name} (mut i64) (i64.const 0))"
-            for name in ("left", "deepest", "thread", "longest", "word", "most")
+            for name in ("left", "deepest", "thread", "longest", "word")
         ),
         f'(data (i32.const {_RETURNS}) "{_escaped(returns)}")',
         *(f'(data {name} "{_escaped(data)}")' for name, data in segments.items()),
@@ -74,8 +65,7 @@ def module(prepared: Prepared) -> Module:
         _driver(deepest),
         ")",
     ]
-    text = "\n".join(line for line in lines if line) + "\n"
-    return Module(text, tuple(imports), points, low + -low % 8)
+    return Module("\n".join(line for line in lines if line) + "\n", points, low + -low % 8)
 
 
 def _method(prepared: Prepared, index: int) -> Method | None:
@@ -123,7 +113,7 @@ def _entry(m: Method, prepared: Prepared) -> str:
 
 
 def _driver(deepest: int) -> str:
-    """`run`: from the registers, until something leaves; the result says how (`lfield.vm.wasm.method`)."""
+    """`run`: from the registers, until something leaves; the result says how (`lfield.vm.wasm.lower.method`)."""
     into = {name: f"(i32.load (i32.const {_AT[name]}))" for name in ("base", "top", "end")}
     return f"""
 (func (export "run") (result i32)
@@ -133,7 +123,6 @@ def _driver(deepest: int) -> str:
   (global.set $left (i64.load (i32.const {_AT["left"]})))
   (global.set $thread (i64.load (i32.const {_AT["thread"]})))
   (global.set $longest (i64.load (i32.const {_AT["longest"]})))
-  (global.set $most (i64.load (i32.const {_AT["most"]})))
   (local.set $frame (i32.load (i32.const {_AT["frame"]})))
   (local.set $point (i32.load (i32.const {_AT["point"]})))
   loop $on
