@@ -20,8 +20,9 @@ from lfield.vm.wasm.calls import quick, unsigned
 from lfield.vm.wasm.heaps import Heaps
 from lfield.vm.wasm.lower.method import DONE, SHORT
 from lfield.vm.wasm.lower.module import REGISTERS, module
+from lfield.vm.wasm.lower.table import RUNTIME
 
-_BASE, _TOP, _END, _FRAME, _POINT, _LEFT, _DEPTH, _THREAD, _LONGEST, _PC, _WORD = range(len(REGISTERS))
+_BASE, _TOP, _END, _FRAME, _POINT, _LEFT, _DEPTH, _THREAD, _LONGEST, _TEXT, _PC, _WORD = range(len(REGISTERS))
 
 
 class Engine:
@@ -37,7 +38,8 @@ class Engine:
         self.space = Heaps(made.low)
         compiled = wasmtime.Module(compiler(self.space.reservation), wasmtime.wat2wasm(made.text))
         store = self.space.store
-        instance = wasmtime.Instance(store, compiled, [self.space.memory])
+        runtime = self.space.functions.instance.exports(store)
+        instance = wasmtime.Instance(store, compiled, [self.space.memory, *(runtime[name] for name in RUNTIME)])
         self._registers = self.space.view(0, 8 * len(REGISTERS)).cast("q")
         self._enter = quick(store, instance, "run", 0)
         self._left = 0
@@ -105,6 +107,7 @@ class Engine:
         registers[_DEPTH] = limits.call_depth
         registers[_THREAD] = w[thread + THREAD_ID]
         registers[_LONGEST] = limits.array_length
+        registers[_TEXT] = limits.string_length
         status = unsigned(self._enter())
         block.top = registers[_TOP] - base >> 3
         w[thread + THREAD_FRAME] = registers[_FRAME] - base >> 3

@@ -250,9 +250,9 @@ class Method:
         """What the braces of a row stand for."""
         slots: dict[str, int] = {}
         given: dict[str, Any] = {"slots": slots}
-        for number, (operand, kind) in enumerate(zip(i.arguments, i.row.takes or (), strict=False)):
-            slots[str(number)] = operand
-            given[str(number)] = self._value(operand, "f64" if kind == "real" else "i64")
+        for number, (pushed, takes) in enumerate(zip(i.arguments, i.row.takes or (), strict=False)):
+            slots[str(number)] = pushed
+            given[str(number)] = self._value(pushed, "f64" if takes == "real" else "i64")
         if i.into >= 0:
             given["a"] = f"$s{i.into}"
         elif i.row.takes is None:
@@ -284,8 +284,9 @@ class Method:
 
     def _made(self, i: Instruction) -> dict[str, str]:
         """Of instructions that make things: their size, and how they are written at $p."""
+        made = {"made": _reference("$p")}
         if i.row.name == "newarray":
-            return {"head": str(ARRAY | i.quad.b << 8)}
+            return {**made, "head": str(ARRAY | i.quad.b << 8)}
         if i.row.name not in ("lds", "new"):
             return {}
         words = image_of(self._prepared, i)
@@ -294,11 +295,11 @@ class Method:
             stores = (
                 f"(i64.store offset={8 * n} (local.get $p) (i64.const {word}))" for n, word in enumerate(words)
             )
-            return {"size": str(size), "image": " ".join(stores)}
+            return {**made, "size": str(size), "image": " ".join(stores)}
         name = f"$made{i.quad.b}{i.row.name}"
         self.segments[name] = struct.pack(f"<{len(words)}q", *words)
         image = f"(memory.init {name} (local.get $p) (i32.const 0) (i32.const {size}))"
-        return {"size": str(size), "image": image}
+        return {**made, "size": str(size), "image": image}
 
     def _calls(self, i: Instruction) -> bool:
         return i.quad.a in self.others and i.arguments[0] >= 0

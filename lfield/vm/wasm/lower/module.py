@@ -13,13 +13,15 @@ from dataclasses import dataclass
 from lfield.vm.memory.layout import FRAME_CALLER, FRAME_DEPTH, FRAME_RETURN, FRAME_SLOTS
 from lfield.vm.reference.prepare import Prepared
 from lfield.vm.wasm.arena import STACK
+from lfield.vm.wasm.lower.maths import maths_name, maths_text
 from lfield.vm.wasm.lower.method import RETURNED, STEP, Method
 from lfield.vm.wasm.lower.routes import Irreducible
+from lfield.vm.wasm.lower.table import MATHS, RUNTIME
 
 #: Words at the beginning of the memory. Addresses: of the block, its top, its end, the thread's frame. The
-#: point to resume at; the budget that is left; the depth of calls, the thread, the length of arrays that are
-#: allowed. The instruction where a run has ended, and the word it has given.
-REGISTERS = ("base", "top", "end", "frame", "point", "left", "depth", "thread", "longest", "pc", "word")
+#: point to resume at; the budget that is left; the depth of calls, the thread, the lengths of arrays and of texts
+#: that are allowed. The instruction where a run has ended, and the word it has given.
+REGISTERS = ("base", "top", "end", "frame", "point", "left", "depth", "thread", "longest", "text", "pc", "word")
 _AT = {name: 8 * i for i, name in enumerate(REGISTERS)}
 #: Where the table of returns is: what is to be done behind each call, by the instruction there.
 _RETURNS = 1024
@@ -48,11 +50,12 @@ def module(prepared: Prepared) -> Module:
     deepest = _deepest(prepared)
     lines = [
         "(module",
-        '(import "lfield" "memory" (memory 1))',
+        '(import "arena" "memory" (memory 1))',
+        *(f'(import "runtime" "{name}" (func ${name} {kind}))' for name, kind in RUNTIME.items()),
         *(f"(global ${name} (mut i32) (i32.const 0))" for name in ("base", "top", "end", "frame", "pc")),
         *(
             f"(global ${name} (mut i64) (i64.const 0))"
-            for name in ("left", "deepest", "thread", "longest", "word")
+            for name in ("left", "deepest", "thread", "longest", "text", "word")
         ),
         f'(data (i32.const {_RETURNS}) "{_escaped(returns)}")',
         *(f'(data {name} "{_escaped(data)}")' for name, data in segments.items()),
@@ -62,6 +65,7 @@ def module(prepared: Prepared) -> Module:
         "(func $none (type $entry) unreachable)",
         *(_entry(m, prepared) for m in methods.values()),
         *functions,
+        maths_text(name for name in MATHS if any(f" {maths_name(name)} " in text for text in functions)),
         _driver(deepest),
         ")",
     ]
@@ -122,6 +126,7 @@ def _driver(deepest: int) -> str:
   {" ".join(f"(global.set ${name} {value})" for name, value in into.items())}
   (global.set $left (i64.load (i32.const {_AT["left"]})))
   (global.set $thread (i64.load (i32.const {_AT["thread"]})))
+  (global.set $text (i64.load (i32.const {_AT["text"]})))
   (global.set $longest (i64.load (i32.const {_AT["longest"]})))
   (local.set $frame (i32.load (i32.const {_AT["frame"]})))
   (local.set $point (i32.load (i32.const {_AT["point"]})))
