@@ -39,7 +39,9 @@ class Engine:
         compiled = wasmtime.Module(compiler(self.space.reservation), wasmtime.wat2wasm(made.text))
         store = self.space.store
         runtime = self.space.functions.instance.exports(store)
-        instance = wasmtime.Instance(store, compiled, [self.space.memory, *(runtime[name] for name in RUNTIME)])
+        instance = wasmtime.Instance(
+            store, compiled, [self.space.memory, *(runtime[name] for name in RUNTIME)]
+        )
         self._registers = self.space.view(0, 8 * len(REGISTERS)).cast("q")
         self._enter = quick(store, instance, "run", 0)
         self._left = 0

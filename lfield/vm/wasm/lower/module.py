@@ -21,7 +21,20 @@ from lfield.vm.wasm.lower.table import MATHS, RUNTIME
 #: Words at the beginning of the memory. Addresses: of the block, its top, its end, the thread's frame. The
 #: point to resume at; the budget that is left; the depth of calls, the thread, the lengths of arrays and of texts
 #: that are allowed. The instruction where a run has ended, and the word it has given.
-REGISTERS = ("base", "top", "end", "frame", "point", "left", "depth", "thread", "longest", "text", "pc", "word")
+REGISTERS = (
+    "base",
+    "top",
+    "end",
+    "frame",
+    "point",
+    "left",
+    "depth",
+    "thread",
+    "longest",
+    "text",
+    "pc",
+    "word",
+)
 _AT = {name: 8 * i for i, name in enumerate(REGISTERS)}
 #: Where the table of returns is: what is to be done behind each call, by the instruction there.
 _RETURNS = 1024
@@ -38,7 +51,9 @@ class Module:
 
 def module(prepared: Prepared) -> Module:
     """The module of a program."""
-    methods = {m.index: m for m in (_method(prepared, i) for i in range(len(prepared.program.core.methods))) if m}
+    methods = {
+        m.index: m for m in (_method(prepared, i) for i in range(len(prepared.program.core.methods))) if m
+    }
     for method in methods.values():
         method.others = methods.keys()
     functions = [m.text() for m in methods.values()]
