@@ -42,6 +42,15 @@ def _compact(block: Block, layouts: Layouts) -> tuple[Buffer, int]:
     new[: block.heap] = old[: block.heap]
     new[block.heap : HEADER_WORDS] = _NEW_WORDS[block.heap :]
     new[W_MAGIC] = MAGIC | VERSION << 32
+    top = block.space.collected(block.data, data, layouts)
+    if not top:
+        top = _copy(old, new, layouts)
+    new.release()
+    return data, top
+
+
+def _copy(old: memoryview[int], new: memoryview[int], layouts: Layouts) -> int:
+    """Copy what is alive behind the header that is in the new words; returns their top."""
     top = HEADER_WORDS
     scan = 0
     references: tuple[int, ...] | range = ROOTS
@@ -67,5 +76,4 @@ def _compact(block: Block, layouts: Layouts) -> tuple[Buffer, int]:
         head = new[scan]
         words = head >> 32
         references = layouts.references(head)
-    new.release()
-    return data, top
+    return top

@@ -2,14 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Protocol
+
+from lfield.vm.memory.layout import Layouts
+from lfield.vm.memory.shapes import Shapes
 
 #: Writable bytes: those of a `bytearray`, or a view of somebody's memory.
 Buffer = bytearray | memoryview
 
 
 class Space(Protocol):
-    """Gives the bytes of blocks, and takes them back when nobody has a view of them any more."""
+    """Gives the bytes of blocks, and takes them back when nobody has a view of them any more.
+
+    What is done with whole heaps it may do itself, the same as the Python beside it and to the same bytes.
+    """
 
     def room(self, size: int) -> Buffer:
         """So many bytes (8 to a word); what is in them does not matter, it may be anything."""
@@ -18,6 +25,34 @@ class Space(Protocol):
         """The same bytes, so many of them: the first ones of `data`, which is not used any more.
 
         What is added may be anything.
+        """
+
+    def collected(self, source: Buffer, target: Buffer, layouts: Layouts) -> int:
+        """Copy what is alive (`lfield.vm.memory.collector`) behind the header that is in the target already.
+
+        Returns the new top in words; 0, and nothing happens, where the space cannot.
+        """
+
+    def copied(
+        self,
+        source: Buffer,
+        used: int,
+        roots: list[int],
+        target: Buffer,
+        top: int,
+        end: int,
+        layouts: Layouts,
+    ) -> tuple[list[int], int] | None:
+        """Copy what the roots lead to (`lfield.vm.memory.copier`) to `top`; the source has `used` words.
+
+        Returns the references to the copies and the new top; as the top, where there is no room before
+        `end`, the negated number of the words needed; None where the space cannot.
+        """
+
+    def walked(self, data: Buffer, heap: int, top: int, shapes: Shapes) -> Mapping[int, int] | None:
+        """Where things begin between two words, each with the low half of its header, if all are sound.
+
+        None where the space cannot tell (`lfield.vm.memory.soundness`). It is valid until the next one.
         """
 
 
@@ -36,6 +71,24 @@ class Separate:
         data.extend(bytes(max(0, size - len(data))))
         del data[size:]
         return data
+
+    def collected(self, source: Buffer, target: Buffer, layouts: Layouts) -> int:
+        return 0
+
+    def copied(
+        self,
+        source: Buffer,
+        used: int,
+        roots: list[int],
+        target: Buffer,
+        top: int,
+        end: int,
+        layouts: Layouts,
+    ) -> tuple[list[int], int] | None:
+        return None
+
+    def walked(self, data: Buffer, heap: int, top: int, shapes: Shapes) -> Mapping[int, int] | None:
+        return None
 
 
 SEPARATE = Separate()

@@ -7,7 +7,7 @@ from typing import Any
 
 from lfield.bytecode.opcodes import BY_CODE, BY_NAME, Opcode
 from lfield.bytecode.program import HELD, PROXY, REAL, VOID, DeviceCall, MethodRecord, Program, Quad
-from lfield.vm.contract import PLAIN, Trap
+from lfield.vm.contract import PLAIN, Group, Trap
 from lfield.vm.memory.layout import Layouts
 from lfield.vm.memory.values import word_of
 from lfield.vm.reference import arithmetic, calls, memory
@@ -16,21 +16,6 @@ from lfield.vm.reference.library import FUNCTIONS, Function
 from lfield.vm.reference.registers import Registers, Step
 
 _PUSH, _POP, _JMP = BY_NAME["push"].code, BY_NAME["pop"].code, BY_NAME["jmp"].code
-
-
-@dataclass(frozen=True, slots=True)
-class Group:
-    """A prepared group: its head, the slot its result goes to (-1: none), and the instruction after it.
-
-    `kind` is the type kind of the result, as in bytecode.program. `parks` is true for the `yield` of
-    `while (true) yield();`.
-    """
-
-    head: Quad
-    destination: int
-    after: int
-    kind: int
-    parks: bool
 
 
 @dataclass(frozen=True, slots=True)

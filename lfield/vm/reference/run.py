@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Container, Sequence
+from collections.abc import Callable, Container, Mapping, Sequence
 from operator import length_hint
 
 from lfield.bytecode.program import Program
-from lfield.vm.contract import SPENT, STOPPED, Exit, Limits, NoRoom, Reading, Thrown, Trap
+from lfield.vm.contract import SPENT, STOPPED, Exit, Group, Limits, NoRoom, Reading, Thrown, Trap
 from lfield.vm.memory.block import Block, Full
 from lfield.vm.memory.layout import (
     FRAME_SLOTS,
@@ -17,7 +17,7 @@ from lfield.vm.memory.layout import (
 )
 from lfield.vm.memory.space import SEPARATE, Space
 from lfield.vm.memory.values import EXCEPTION_WORDS, new_exception
-from lfield.vm.reference.prepare import Group, Prepared, Raised, prepare
+from lfield.vm.reference.prepare import Prepared, Raised, prepare
 from lfield.vm.reference.registers import LEAVE, Registers
 from lfield.vm.reference.unwind import find_handler, unwind
 
@@ -26,6 +26,7 @@ class Engine:
     """Runs threads of blocks of one program, wherever their bytes are. Keeps nothing between two runs."""
 
     space: Space = SEPARATE
+    pace = 1
 
     def __init__(self, program: Program, now: Callable[[], float]) -> None:
         self.program = program
@@ -40,9 +41,10 @@ class Engine:
         """Where references are, for the collector and the copier."""
         return self.prepared.layouts
 
-    def group(self, pc: int) -> Group:
-        """The group that begins at an instruction."""
-        return self.prepared.groups[pc]
+    @property
+    def groups(self) -> Mapping[int, Group]:
+        """The groups of the program, by their first instruction."""
+        return self.prepared.groups
 
     @property
     def asked(self) -> bool:

@@ -60,8 +60,7 @@ class Arena:
     def room(self, size: int) -> Buffer:
         """A region; bytes elsewhere, which only the reference engine can use, where the memory is full."""
         capacity = size_class(size)
-        free = self._free.get(capacity)
-        base = free.pop() if free else self._take(capacity)
+        base = self.take(capacity)
         if base < 0:
             return SEPARATE.room(size)
         region = _region(capacity).from_address(self.address + base)
@@ -85,11 +84,16 @@ class Arena:
             return region.base
         return -1
 
+    def take(self, capacity: int) -> int:
+        """Where so many bytes (a size class) are that are nobody's until they are freed; -1: nowhere."""
+        free = self._free.get(capacity)
+        return free.pop() if free else self._fresh(capacity)
+
     def free(self, base: int, capacity: int) -> None:
         """Nobody has a view of a region any more."""
         self._free.setdefault(capacity, []).append(base)
 
-    def _take(self, capacity: int) -> int:
+    def _fresh(self, capacity: int) -> int:
         """A new region from the end of the memory, which grows for it; -1 when it cannot."""
         base, end = self._next, self._next + capacity
         size = self.memory.data_len(self.store)

@@ -6,21 +6,20 @@ one that the reference engine knows, and at each *point* WebAssembly can take ov
 
 from __future__ import annotations
 
-import ctypes
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import wasmtime
-from wasmtime import _ffi as ffi
 
 from lfield.bytecode.program import Program
-from lfield.vm.contract import SPENT, STOPPED, Done, Exit, Limits, Reading
+from lfield.vm.contract import SPENT, STOPPED, Done, Exit, Group, Limits, Reading
 from lfield.vm.memory.block import Block
 from lfield.vm.memory.layout import THREAD_FRAME, THREAD_ID, THREAD_PC, Layouts
 from lfield.vm.reference import Engine as Reference
-from lfield.vm.reference.prepare import Group, Prepared
-from lfield.vm.wasm.arena import Arena, compiler
-from lfield.vm.wasm.method import DONE, SHORT
-from lfield.vm.wasm.module import REGISTERS, module
+from lfield.vm.wasm.arena import compiler
+from lfield.vm.wasm.calls import quick, unsigned
+from lfield.vm.wasm.heaps import Heaps
+from lfield.vm.wasm.lower.method import DONE, SHORT
+from lfield.vm.wasm.lower.module import REGISTERS, module
 
 _BASE, _TOP, _END, _FRAME, _POINT, _LEFT, _DEPTH, _THREAD, _LONGEST, _PC, _WORD = range(len(REGISTERS))
 
@@ -28,29 +27,31 @@ _BASE, _TOP, _END, _FRAME, _POINT, _LEFT, _DEPTH, _THREAD, _LONGEST, _PC, _WORD 
 class Engine:
     """Runs threads of blocks of one program; blocks outside its arena only by the reference engine."""
 
+    pace = 20
+
     def __init__(self, program: Program, now: Callable[[], float]) -> None:
         self.program = program
         self._reference = Reference(program, now)
-        self.prepared: Prepared = self._reference.prepared
-        made = module(self.prepared)
+        made = module(self._reference.prepared)
         self._points = made.points
-        self.space = Arena(made.low)
+        self.space = Heaps(made.low)
         compiled = wasmtime.Module(compiler(self.space.reservation), wasmtime.wat2wasm(made.text))
         store = self.space.store
         instance = wasmtime.Instance(store, compiled, [self.space.memory])
         self._registers = self.space.view(0, 8 * len(REGISTERS)).cast("q")
-        self._enter = _entered(store, instance.exports(store)["run"])
+        self._enter = quick(store, instance, "run", 0)
         self._left = 0
         self._asked = False
 
     @property
     def layouts(self) -> Layouts:
         """Where references are, for the collector and the copier."""
-        return self.prepared.layouts
+        return self._reference.layouts
 
-    def group(self, pc: int) -> Group:
-        """The group that begins at an instruction."""
-        return self.prepared.groups[pc]
+    @property
+    def groups(self) -> Mapping[int, Group]:
+        """The groups of the program, by their first instruction."""
+        return self._reference.groups
 
     @property
     def asked(self) -> bool:
@@ -104,7 +105,7 @@ class Engine:
         registers[_DEPTH] = limits.call_depth
         registers[_THREAD] = w[thread + THREAD_ID]
         registers[_LONGEST] = limits.array_length
-        status = self._enter()
+        status = unsigned(self._enter())
         block.top = registers[_TOP] - base >> 3
         w[thread + THREAD_FRAME] = registers[_FRAME] - base >> 3
         w[thread + THREAD_PC] = registers[_PC]
@@ -118,24 +119,3 @@ class Engine:
     def throw(self, block: Block, thread: int, thrown: int) -> bool:
         """Throw the object at `thrown` where the thread stands; false when nobody catches it."""
         return self._reference.throw(block, thread, thrown)
-
-
-def _entered(store: wasmtime.Store, driver: wasmtime.Func) -> Callable[[], int]:
-    """The driver as a function of Python; it costs a tenth of what `driver(store)` does.
-
-    Raises wasmtime.Trap and WasmtimeError, which are bugs of ours.
-    """
-    call = ffi.wasmtime_func_call_unchecked
-    values = (ffi.wasmtime_val_raw_t * 1)()
-    trap = ctypes.POINTER(ffi.wasm_trap_t)()
-    context, function, into = store._context(), ctypes.byref(driver._func), ctypes.byref(trap)
-
-    def enter() -> int:
-        error = call(context, function, values, 1, into)
-        if error:
-            raise wasmtime.WasmtimeError._from_ptr(error)
-        if trap:
-            raise wasmtime.Trap._from_ptr(trap)
-        return int(values[0].i32)
-
-    return enter

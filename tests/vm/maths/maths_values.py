@@ -13,7 +13,7 @@ import wasmtime
 
 from lfield.vm.maths.library import MATHS
 from lfield.vm.memory.values import canonical, real_of
-from lfield.vm.wasm.maths import maths_name, maths_text
+from lfield.vm.wasm.lower.maths import maths_name, maths_text
 
 #: Where somebody might have made a mistake.
 EDGES = [

@@ -7,7 +7,7 @@ import strange_maths
 from maths_values import EDGES, Lowered, arguments, arity, differing
 
 from lfield.vm.maths.library import MATHS
-from lfield.vm.wasm.maths import functions_text, maths_text
+from lfield.vm.wasm.lower.maths import functions_text, maths_text
 
 
 @pytest.fixture(scope="module")

@@ -9,8 +9,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from lfield.vm.wasm.flow import dominates, dominators, predecessors, reverse_postorder
-from lfield.vm.wasm.graph import Branch, Call, Graph, Jump, Run
+from lfield.vm.wasm.lower.flow import dominates, dominators, predecessors, reverse_postorder
+from lfield.vm.wasm.lower.graph import Branch, Call, Graph, Jump, Run
 
 
 @dataclass(frozen=True, slots=True)

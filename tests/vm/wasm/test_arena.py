@@ -16,6 +16,7 @@ from lfield.vm.memory.layout import Layouts
 pytest.importorskip("wasmtime", reason="the engine in WebAssembly needs wasmtime: pip install lfield[wasm]")
 
 from lfield.vm.wasm.arena import WHOLE, Arena, size_class
+from lfield.vm.wasm.heaps import Heaps
 
 PROGRAM = compile_text("resource R { init(string[] arg) { } }")
 
@@ -50,8 +51,8 @@ def test_a_region_wastes_at_most_a_quarter(size: int) -> None:
 
 
 def test_a_block_grows_shrinks_and_is_collected_in_the_arena() -> None:
-    arena = Arena()
-    blocks = [Block.empty(PROGRAM.digest, 1 << 17, space) for space in (arena, Arena())]
+    arena = Heaps()
+    blocks = [Block.empty(PROGRAM.digest, 1 << 17, space) for space in (arena, Heaps())]
     blocks.append(Block.empty(PROGRAM.digest, 1 << 17))
     for block in blocks:
         block.w[layout.W_ID] = block.new_string("who")
@@ -68,7 +69,7 @@ def test_a_block_grows_shrinks_and_is_collected_in_the_arena() -> None:
 
 def test_where_the_arena_is_full_blocks_lie_elsewhere(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("lfield.vm.wasm.arena.RESERVATIONS", (1 << 24,))
-    arena = Arena()
+    arena = Heaps()
     rooms = [arena.room(1 << 20) for _ in range(20)]
     assert arena.reservation == 1 << 24 < WHOLE
     inside = [arena.base(room) >= 0 for room in rooms]

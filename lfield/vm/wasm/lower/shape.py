@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from lfield.vm.wasm.flow import dominators, predecessors, reverse_postorder
+from lfield.vm.wasm.lower.flow import dominators, predecessors, reverse_postorder
 
 Successors = Callable[[int], list[int]]
 #: A line of text, or a node that is written in place.

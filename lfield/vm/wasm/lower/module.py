@@ -13,8 +13,8 @@ from dataclasses import dataclass
 from lfield.vm.memory.layout import FRAME_CALLER, FRAME_DEPTH, FRAME_RETURN, FRAME_SLOTS
 from lfield.vm.reference.prepare import Prepared
 from lfield.vm.wasm.arena import STACK
-from lfield.vm.wasm.method import RETURNED, STEP, Method
-from lfield.vm.wasm.routes import Irreducible
+from lfield.vm.wasm.lower.method import RETURNED, STEP, Method
+from lfield.vm.wasm.lower.routes import Irreducible
 
 #: Words at the beginning of the memory. Addresses: of the block, its top, its end, the thread's frame. The
 #: point to resume at; the budget that is left; the depth of calls, the thread, the length of arrays that are
@@ -113,7 +113,7 @@ def _entry(m: Method, prepared: Prepared) -> str:
 
 
 def _driver(deepest: int) -> str:
-    """`run`: from the registers, until something leaves; the result says how (`lfield.vm.wasm.method`)."""
+    """`run`: from the registers, until something leaves; the result says how (`lfield.vm.wasm.lower.method`)."""
     into = {name: f"(i32.load (i32.const {_AT[name]}))" for name in ("base", "top", "end")}
     return f"""
 (func (export "run") (result i32)

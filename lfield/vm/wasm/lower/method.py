@@ -28,10 +28,10 @@ from lfield.vm.memory.layout import (
     header,
 )
 from lfield.vm.reference.prepare import Prepared
-from lfield.vm.wasm.graph import Branch, Call, Graph, Instruction, Jump, Leave, Return, Run
-from lfield.vm.wasm.routes import Routes, Switch, Test
-from lfield.vm.wasm.shape import Go, Item, Shape
-from lfield.vm.wasm.table import ROWS
+from lfield.vm.wasm.lower.graph import Branch, Call, Graph, Instruction, Jump, Leave, Return, Run
+from lfield.vm.wasm.lower.routes import Routes, Switch, Test
+from lfield.vm.wasm.lower.shape import Go, Item, Shape
+from lfield.vm.wasm.lower.table import ROWS
 
 #: What a function says besides its result: it has returned; it stands where the reference engine must go on;
 #: its budget does not suffice for what comes next; the thread's first method has returned.

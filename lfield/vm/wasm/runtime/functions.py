@@ -1,0 +1,38 @@
+"""The functions of the runtime over one memory: its text, compiled once, and how it is called."""
+
+from __future__ import annotations
+
+from functools import cache
+from importlib.resources import files
+
+import wasmtime
+
+from lfield.vm.wasm.calls import quick
+
+#: The files of its text.
+PARTS = ("words", "collect", "copy", "sound", "strings", "texts")
+
+
+@cache
+def runtime_text() -> str:
+    """The whole module. It has no memory of its own."""
+    folder = files(__package__)
+    parts = "\n".join(folder.joinpath(f"{part}.wat").read_text(encoding="utf-8") for part in PARTS)
+    return f'(module\n(import "arena" "memory" (memory 0))\n\n{parts})\n'
+
+
+@cache
+def runtime_module(engine: wasmtime.Engine) -> wasmtime.Module:
+    """The module as machine code, for all memories of an engine."""
+    return wasmtime.Module(engine, runtime_text())
+
+
+class Functions:
+    """The runtime over one memory. Addresses are bytes from its beginning; what each is: the .wat files."""
+
+    def __init__(self, engine: wasmtime.Engine, store: wasmtime.Store, memory: wasmtime.Memory) -> None:
+        #: For modules that import its functions.
+        self.instance = wasmtime.Instance(store, runtime_module(engine), [memory])
+        self.collect = quick(store, self.instance, "collect", 4)
+        self.deep_copy = quick(store, self.instance, "deep_copy", 9)
+        self.sound = quick(store, self.instance, "sound", 5)
