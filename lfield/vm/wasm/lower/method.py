@@ -1,4 +1,4 @@
-"""One function for each method: its slots are locals, and go to its frame in the block when somebody may look.
+"""One function for each method: its slots are locals, and go to its frame when somebody may look at it.
 
 The parameters are the address of the frame, the point where to resume (0: at the beginning) and the
 arguments; the results are the method's and whether it has returned (RETURNED). If it has not, every function
@@ -299,11 +299,9 @@ class Method:
 
     def _made(self, i: Instruction) -> dict[str, str]:
         """Of instructions that make things: their size, and how they are written at $p."""
-        made = {"made": _reference("$p")}
-        if i.row.name == "newarray":
-            return {**made, "head": str(ARRAY | i.quad.b << 8)}
+        made = {"made": _reference("$p"), "head": str(ARRAY | i.quad.b << 8)}
         if i.row.name not in ("lds", "new"):
-            return {}
+            return made
         words = image_of(self._prepared, i)
         size = 8 * len(words)
         if len(words) <= _UNROLLED:

@@ -10,17 +10,19 @@ from __future__ import annotations
 import struct
 from dataclasses import dataclass
 
+from lfield.bytecode.program import Program
 from lfield.vm.memory.layout import FRAME_CALLER, FRAME_DEPTH, FRAME_RETURN, FRAME_SLOTS
 from lfield.vm.reference.prepare import Prepared
-from lfield.vm.wasm.arena import STACK
 from lfield.vm.wasm.lower.maths import maths_name, maths_text
 from lfield.vm.wasm.lower.method import RETURNED, STEP, Method
 from lfield.vm.wasm.lower.routes import Irreducible
 from lfield.vm.wasm.lower.table import MATHS, RUNTIME
 
+#: The size of WebAssembly's own stack, in bytes.
+STACK = 1 << 20
 #: Words at the beginning of the memory. Addresses: of the block, its top, its end, the thread's frame. The
-#: point to resume at; the budget that is left; the depth of calls, the thread, the lengths of arrays and of texts
-#: that are allowed. The instruction where a run has ended, and the word it has given.
+#: point to resume at; the budget that is left; the depth of calls, the thread, the lengths of arrays and of
+#: texts that are allowed. The instruction where a run has ended, and the word it has given.
 REGISTERS = (
     "base",
     "top",
@@ -42,11 +44,10 @@ _RETURNS = 1024
 
 @dataclass(frozen=True, slots=True)
 class Module:
-    """The text, the point of each instruction that has one, and how many bytes at the beginning it uses."""
+    """The text, and the point of each instruction that has one."""
 
     text: str
     points: dict[int, int]
-    low: int
 
 
 def module(prepared: Prepared) -> Module:
@@ -60,7 +61,6 @@ def module(prepared: Prepared) -> Module:
     points = {pc: number for m in methods.values() for pc, number in m.points.items()}
     returns = _returns(prepared, points)
     segments = {name: data for m in methods.values() for name, data in m.segments.items()}
-    low = _RETURNS + len(returns)
     count = len(prepared.program.core.methods)
     deepest = _deepest(prepared)
     lines = [
@@ -84,7 +84,12 @@ def module(prepared: Prepared) -> Module:
         _driver(deepest),
         ")",
     ]
-    return Module("\n".join(line for line in lines if line) + "\n", points, low + -low % 8)
+    return Module("\n".join(line for line in lines if line) + "\n", points)
+
+
+def low_bytes(program: Program) -> int:
+    """How many bytes at the beginning of the memory the module uses."""
+    return _RETURNS + 8 * (len(program.quads) + 1)
 
 
 def _method(prepared: Prepared, index: int) -> Method | None:
@@ -101,7 +106,7 @@ def _deepest(prepared: Prepared) -> int:
 
 
 def _returns(prepared: Prepared, points: dict[int, int]) -> bytes:
-    """Two 32-bit numbers for each instruction: the point of the caller, and where in its frame the result goes.
+    """Two 32-bit numbers for each instruction behind a call: its point, and where in the frame a result goes.
 
     0 for no point, 0 for no result.
     """
@@ -132,7 +137,7 @@ def _entry(m: Method, prepared: Prepared) -> str:
 
 
 def _driver(deepest: int) -> str:
-    """`run`: from the registers, until something leaves; the result says how (`lfield.vm.wasm.lower.method`)."""
+    """`run`: from the registers, until something leaves; the result says how, as that of a method does."""
     into = {name: f"(i32.load (i32.const {_AT[name]}))" for name in ("base", "top", "end")}
     return f"""
 (func (export "run") (result i32)

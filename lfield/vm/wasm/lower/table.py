@@ -8,7 +8,7 @@ to. `{t}` is the type of the slot that a value comes from or goes to. Two more l
     null b             the same, where a reference is null
 
 So a row has only what is common; whatever is rare has one description, that of the reference engine. The
-locals `x`, `y` (i64), `u` (f64) and `p` (i32) are free for every row. An instruction that is in no row leaves.
+locals `x`, `y` (i64), `u` (f64) and `p` (i32) are free for every row. What is in no row leaves.
 """
 
 from __future__ import annotations
@@ -48,7 +48,8 @@ def _order(operation: str) -> str:
 def _text(function: str, *arguments: str) -> str:
     """A function of the runtime that makes a string at the top of the heap, and gives its size in words."""
     return f"""
-        (local.set $y (i64.extend_i32_u (i32.shr_u (i32.sub (global.get $top) (local.get $base)) (i32.const 3))))
+        (local.set $p (global.get $top))
+        (local.set $y {{made}})
         (local.set $x (call ${function} (local.get $base) (local.get $y)
             (i64.extend_i32_u (i32.shr_u (i32.sub (global.get $end) (local.get $base)) (i32.const 3)))
             (global.get $text) {" ".join(arguments)}))
@@ -93,7 +94,8 @@ ROWS: dict[str, str] = {
         null b
         (local.set $p {b_at})
         leave (i64.ge_u {c} (i64.sub (i64.load32_u offset=4 (local.get $p)) (i64.const 1)))
-        (local.set {a} ({t}.load offset=8 (i32.add (local.get $p) (i32.shl (i32.wrap_i64 {c}) (i32.const 3)))))
+        (local.set {a} ({t}.load offset=8
+            (i32.add (local.get $p) (i32.shl (i32.wrap_i64 {c}) (i32.const 3)))))
     """,
     "pute": """
         null a
@@ -119,11 +121,13 @@ ROWS: dict[str, str] = {
     "newarray": """
         leave (i64.gt_u {c} (global.get $longest))
         (local.set $x (i64.shl (i64.add {c} (i64.const 1)) (i64.const 3)))
-        leave (i64.gt_u (i64.add (i64.extend_i32_u (global.get $top)) (local.get $x)) (i64.extend_i32_u (global.get $end)))
         (local.set $p (global.get $top))
+        (local.set $y (i64.add (i64.extend_i32_u (local.get $p)) (local.get $x)))
+        leave (i64.gt_u (local.get $y) (i64.extend_i32_u (global.get $end)))
         (i64.store (local.get $p) (i64.or (i64.const {head}) (i64.shl (local.get $x) (i64.const 29))))
-        (memory.fill (i32.add (local.get $p) (i32.const 8)) (i32.const 0) (i32.sub (i32.wrap_i64 (local.get $x)) (i32.const 8)))
-        (global.set $top (i32.add (local.get $p) (i32.wrap_i64 (local.get $x))))
+        (memory.fill (i32.add (local.get $p) (i32.const 8)) (i32.const 0)
+            (i32.sub (i32.wrap_i64 (local.get $x)) (i32.const 8)))
+        (global.set $top (i32.wrap_i64 (local.get $y)))
         (local.set {a} {made})
     """,
     # subroutines
