@@ -11,8 +11,9 @@ from collections.abc import Iterator, Mapping
 from lfield.vm.memory.layout import HEADER_WORDS, Layouts
 from lfield.vm.memory.shapes import Shapes
 from lfield.vm.memory.space import Buffer
-from lfield.vm.wasm.arena import PAGE, Arena, compiler, size_class
+from lfield.vm.wasm.arena import PAGE, Arena, size_class
 from lfield.vm.wasm.calls import unsigned
+from lfield.vm.wasm.code import Cache, runtime_of
 from lfield.vm.wasm.runtime.functions import Functions
 from lfield.vm.wasm.runtime.tables import layout_tables, shape_tables
 
@@ -23,9 +24,9 @@ MOST_ROOTS = 64
 class Heaps(Arena):
     """An arena whose blocks need no Python to be collected, copied and checked."""
 
-    def __init__(self, low: int = PAGE) -> None:
+    def __init__(self, low: int = PAGE, cache: Cache | None = None) -> None:
         super().__init__(low)
-        self.functions = Functions(compiler(self.reservation), self.store, self.memory)
+        self.functions = Functions(runtime_of(self.reservation, cache), self.store, self.memory)
         functions = self.functions
         self._collect, self._copy, self._sound = functions.collect, functions.deep_copy, functions.sound
         self._tables: dict[Layouts | Shapes, int] = {}
