@@ -24,7 +24,8 @@ def collect(block: Block, layouts: Layouts, room: int = 0) -> None:
     place, say) is wrong afterwards.
     """
     size = len(block.w)
-    data, top = _compact(block, layouts)
+    # It is seldom of another size afterwards.
+    data, top = _compact(block, layouts, 8 * size)
     wanted = max(INITIAL_WORDS, min(2 * size, GENEROUS), 2 * (top + room))
     most = block.limit if top + room <= block.limit else block.limit + RESERVE_WORDS
     words = max(top, min(wanted, most))
@@ -37,13 +38,13 @@ def compact(block: Block, layouts: Layouts) -> None:
     block.replace(block.space.sized(data, 8 * top), top)
 
 
-def _compact(block: Block, layouts: Layouts) -> tuple[Buffer, int]:
+def _compact(block: Block, layouts: Layouts, least: int = 0) -> tuple[Buffer, int]:
     """A copy of the block with only what is alive, and its top. Spoils the block's own bytes.
 
-    The copy has the header of this version: what is new in it is 0.
+    It has room for `least` bytes. It has the header of this version: what is new in it is 0.
     """
     old = block.w
-    data = block.space.room(8 * (block.top + HEADER_WORDS - block.heap))
+    data = block.space.room(max(least, 8 * (block.top + HEADER_WORDS - block.heap)))
     new = memoryview(data).cast("q")
     new[: block.heap] = old[: block.heap]
     new[block.heap : HEADER_WORDS] = _NEW_WORDS[block.heap :]

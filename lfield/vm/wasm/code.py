@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import hashlib
 from collections import OrderedDict
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cache
 from importlib.metadata import version
@@ -21,7 +21,8 @@ import wasmtime
 
 from lfield.vm.reference.prepare import Prepared
 from lfield.vm.wasm.arena import compiler
-from lfield.vm.wasm.lower.module import module
+from lfield.vm.wasm.lower.module import Module, module
+from lfield.vm.wasm.runtime.functions import runtime_text
 
 #: So many programs are kept in a process: tests have many of them, a host has one.
 KEPT = 16
@@ -61,32 +62,40 @@ _kept = msgspec.msgpack.Decoder(_Kept)
 
 def code_of(prepared: Prepared, reservation: int, kept: Cache | None = None) -> Code:
     """The code of a program: of this process, else of the cache, else made now."""
-    key = prepared.program.digest, reservation
-    found = _recent.pop(key, None) or _found(prepared, reservation, kept)
+    return _recently(prepared.program.digest, reservation, kept, lambda: module(prepared))
+
+
+def runtime_of(reservation: int, kept: Cache | None = None) -> wasmtime.Module:
+    """The code of the runtime, which is the same for all programs."""
+    return _recently(b"runtime", reservation, kept, lambda: Module(runtime_text(), {})).compiled
+
+
+def _recently(digest: bytes, reservation: int, kept: Cache | None, make: Callable[[], Module]) -> Code:
+    key = digest, reservation
+    found = _recent.pop(key, None) or _found(digest, reservation, kept, make)
     _recent[key] = found
     if len(_recent) > KEPT:
         _recent.popitem(last=False)
     return found
 
 
-def _found(prepared: Prepared, reservation: int, kept: Cache | None) -> Code:
+def _found(digest: bytes, reservation: int, kept: Cache | None, make: Callable[[], Module]) -> Code:
     if kept is None:
-        return _made(prepared, reservation)
-    name = name_of(prepared.program.digest, reservation)
+        return _made(make(), reservation)
+    name = name_of(digest, reservation)
     data = kept.get(name)
     if data is not None:
         try:
             return _read(data, reservation)
         except (ValueError, msgspec.DecodeError, wasmtime.WasmtimeError) as error:
             kept.damaged(name, str(error).partition("\n")[0])
-    code = _made(prepared, reservation)
+    code = _made(make(), reservation)
     content = msgspec.msgpack.encode(_Kept(code.points, bytes(code.compiled.serialize())))
     kept.put(name, hashlib.sha256(content).digest() + content)
     return code
 
 
-def _made(prepared: Prepared, reservation: int) -> Code:
-    made = module(prepared)
+def _made(made: Module, reservation: int) -> Code:
     return Code(wasmtime.Module(compiler(reservation), made.text), made.points)
 
 

@@ -34,7 +34,7 @@ class Engine:
     def __init__(self, program: Program, now: Callable[[], float], cache: Cache | None = None) -> None:
         self.program = program
         self._reference = Reference(program, now)
-        self.space = Heaps(low_bytes(program))
+        self.space = Heaps(low_bytes(program), cache)
         code = code_of(self._reference.prepared, self.space.reservation, cache)
         self._points = code.points
         store = self.space.store

@@ -11,8 +11,9 @@ from collections.abc import Iterator, Mapping
 from lfield.vm.memory.layout import HEADER_WORDS, Layouts
 from lfield.vm.memory.shapes import Shapes
 from lfield.vm.memory.space import Buffer
-from lfield.vm.wasm.arena import PAGE, Arena, compiler, size_class
+from lfield.vm.wasm.arena import PAGE, Arena, size_class
 from lfield.vm.wasm.calls import unsigned
+from lfield.vm.wasm.code import Cache, runtime_of
 from lfield.vm.wasm.runtime.functions import Functions
 from lfield.vm.wasm.runtime.tables import layout_tables, shape_tables
 
@@ -23,13 +24,15 @@ MOST_ROOTS = 64
 class Heaps(Arena):
     """An arena whose blocks need no Python to be collected, copied and checked."""
 
-    def __init__(self, low: int = PAGE) -> None:
+    def __init__(self, low: int = PAGE, cache: Cache | None = None) -> None:
         super().__init__(low)
-        self.functions = Functions(compiler(self.reservation), self.store, self.memory)
-        self._copy = self.functions.deep_copy
+        self.functions = Functions(runtime_of(self.reservation, cache), self.store, self.memory)
+        functions = self.functions
+        self._collect, self._copy, self._sound = functions.collect, functions.deep_copy, functions.sound
         self._tables: dict[Layouts | Shapes, int] = {}
         #: What is used for the length of one call, and how large it is.
         self._scratch, self._capacity = -1, 0
+        self._scratch_view = self.view(0, 0)
         #: Where the copier finds its roots, as an address and as words.
         self._roots_at = self.take(size_class(8 * MOST_ROOTS))
         self._roots = self.view(self._roots_at, 8 * MOST_ROOTS).cast("q")
@@ -40,7 +43,7 @@ class Heaps(Arena):
         tables = self._laid(layouts)
         if old < 0 or new < 0 or tables < 0:
             return 0
-        return unsigned(self.functions.collect(tables, old, new, HEADER_WORDS))
+        return unsigned(self._collect(tables, old, new, HEADER_WORDS))
 
     def copied(
         self,
@@ -67,16 +70,12 @@ class Heaps(Arena):
 
     def walked(self, data: Buffer, heap: int, top: int, shapes: Shapes) -> Mapping[int, int] | None:
         """As the Protocol says; None too when something is wrong, which the Python then finds."""
-        block = self.base(data)
-        size = top + 7 >> 3
-        tables, bits = self._laid(shapes), self._room_for(size)
+        block, tables, bits = self.base(data), self._laid(shapes), self._room_for(top + 7 >> 3)
         if block < 0 or tables < 0 or bits < 0:
             return None
-        starts = self.view(bits, size)
-        starts[:] = bytes(size)
-        if not self.functions.sound(tables, block, heap, top, bits) & 1:
+        if not unsigned(self._sound(tables, block, heap, top, bits)):
             return None
-        return Starts(starts, memoryview(data).cast("q"), top)
+        return Starts(self._scratch_view, memoryview(data).cast("q"), top)
 
     def _laid(self, what: Layouts | Shapes) -> int:
         """The address of the tables of a program; -1 when there is no room for them."""
@@ -97,6 +96,7 @@ class Heaps(Arena):
             self._scratch = self.take(self._capacity)
             if self._scratch < 0:
                 self._capacity = 0
+            self._scratch_view = self.view(max(0, self._scratch), self._capacity)
         return self._scratch
 
 

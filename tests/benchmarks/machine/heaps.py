@@ -1,7 +1,7 @@
-"""What is done with whole heaps, in Python and in WebAssembly: collection, deep copy, the check of an arrival.
+"""What is done with whole heaps, in Python and in WebAssembly: collection, deep copy, check of an arrival.
 
-Both work in this process on the same bytes, and leave the same bytes; each case is a heap that is full of what
-is alive, small objects or one array, or a short string alone.
+Both work in this process on the same bytes, and leave the same bytes; each case is a heap that is full of
+what is alive, small objects or one array, or a short string alone.
 """
 
 from __future__ import annotations

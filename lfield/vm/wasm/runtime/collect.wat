@@ -10,7 +10,7 @@
     (param $tables i32) (param $from i32) (param $to i32) (param $header i32) (result i32)
     (local $top i32) (local $scan i32) (local $record i32) (local $size i32)
     (local $left i32) (local $list i32) (local $offset i32) (local $slot i32)
-    (local $place i64) (local $old i32) (local $head i64) (local $bytes i32) (local $at i32)
+    (local $place i64) (local $old i32) (local $head i64) (local $bytes i32) (local $at i32) (local $half i32)
     (local.set $scan (local.get $to))
     (local.set $size (i32.shl (local.get $header) (i32.const 3)))
     (local.set $top (i32.add (local.get $to) (local.get $size)))
@@ -77,7 +77,10 @@
                 (local.set $head (i64.load (local.get $scan)))
                 (local.set $size
                     (i32.shl (i32.wrap_i64 (i64.shr_u (local.get $head) (i64.const 32))) (i32.const 3)))
-                (local.set $record
-                    (call $record (local.get $tables) (i32.wrap_i64 (local.get $head))))
+                ;; Things of one kind often follow one another.
+                (if (i32.ne (i32.wrap_i64 (local.get $head)) (local.get $half))
+                    (then
+                        (local.set $half (i32.wrap_i64 (local.get $head)))
+                        (local.set $record (call $record (local.get $tables) (local.get $half)))))
                 (br $things))))
     (i32.shr_u (i32.sub (local.get $top) (local.get $to)) (i32.const 3)))

@@ -21,12 +21,6 @@ def runtime_text() -> str:
     return f'(module\n(import "arena" "memory" (memory 0))\n\n{parts})\n'
 
 
-@cache
-def runtime_module(engine: wasmtime.Engine) -> wasmtime.Module:
-    """The module as machine code, for all memories of an engine."""
-    return wasmtime.Module(engine, runtime_text())
-
-
 class Functions:
     """The runtime over one memory.
 
@@ -34,9 +28,9 @@ class Functions:
     beginning of the memory. Any trap in them is a bug of ours.
     """
 
-    def __init__(self, engine: wasmtime.Engine, store: wasmtime.Store, memory: wasmtime.Memory) -> None:
+    def __init__(self, code: wasmtime.Module, store: wasmtime.Store, memory: wasmtime.Memory) -> None:
         #: For modules that import its functions.
-        self.instance = wasmtime.Instance(store, runtime_module(engine), [memory])
+        self.instance = wasmtime.Instance(store, code, [memory])
         self.collect = quick(store, self.instance, "collect", 4)
         self.deep_copy = quick(store, self.instance, "deep_copy", 9)
         self.sound = quick(store, self.instance, "sound", 5)

@@ -6,11 +6,13 @@
 ;;          -1 no such thing; second: what all elements of an array of references lead to), then eight numbers
 ;;          of records by kind, then the addresses of three more: members, classes and what they are kinds of
 ;; $block   address of the block; $heap and $top in words
-;; $starts  address of one bit for every word of the block, all 0: becomes 1 where a thing begins
+;; $starts  address of one bit for every word of the block: becomes 1 where a thing begins
 
 (func (export "sound")
     (param $tables i32) (param $block i32) (param $heap i64) (param $top i64) (param $starts i32)
     (result i32)
+    (memory.fill (local.get $starts) (i32.const 0)
+        (i32.wrap_i64 (i64.shr_u (i64.add (local.get $top) (i64.const 7)) (i64.const 3))))
     (if (i32.eqz
             (call $things (local.get $tables) (local.get $block) (local.get $heap) (local.get $top)
                 (local.get $starts)))
