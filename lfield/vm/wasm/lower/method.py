@@ -60,7 +60,11 @@ def image_of(prepared: Prepared, i: Instruction) -> list[int]:
     assert isinstance(text, str)
     raw = text.encode("utf-8", "replace")
     words = 2 + (len(raw) + 7 >> 3)
-    return [header(STRING, 0, words), len(raw), *struct.unpack(f"<{words - 2}q", raw.ljust(8 * (words - 2), b"\0"))]
+    return [
+        header(STRING, 0, words),
+        len(raw),
+        *struct.unpack(f"<{words - 2}q", raw.ljust(8 * (words - 2), b"\0")),
+    ]
 
 
 class Method:
@@ -94,7 +98,12 @@ class Method:
 
     def text(self) -> str:
         """The function as WebAssembly text."""
-        labelled = {to for node in self._routes.nodes.values() if isinstance(node, Switch) for to in node.ways.values()}
+        labelled = {
+            to
+            for node in self._routes.nodes.values()
+            if isinstance(node, Switch)
+            for to in node.ways.values()
+        }
         self._shape = Shape(-1, self._routes.leads_to, labelled)
         return "\n".join([*self._head(), *self._shape.lines(self._node), "unreachable", *self._tail(), ")"])
 
@@ -112,7 +121,10 @@ class Method:
             "(local.set $base (global.get $base))",
             "(local.set $left (global.get $left))",
             "(if (local.get $resume) (then",
-            *(f"(local.set $s{i} ({t}.load offset={self._at(i)} (local.get $frame)))" for i, t in enumerate(self.slots)),
+            *(
+                f"(local.set $s{i} ({t}.load offset={self._at(i)} (local.get $frame)))"
+                for i, t in enumerate(self.slots)
+            ),
             "))",
             "block $spill",
             "block $exit",
@@ -147,7 +159,10 @@ class Method:
             "(global.set $frame (local.get $frame))",
             "(global.set $pc (local.get $pc))",
             "end ;; spill",
-            *(f"({t}.store offset={self._at(i)} (local.get $frame) (local.get $s{i}))" for i, t in enumerate(self.slots)),
+            *(
+                f"({t}.store offset={self._at(i)} (local.get $frame) (local.get $s{i}))"
+                for i, t in enumerate(self.slots)
+            ),
             f"{value} (local.get $status)",
         ]
 
@@ -292,7 +307,8 @@ class Method:
         size = 8 * len(words)
         if len(words) <= _UNROLLED:
             stores = (
-                f"(i64.store offset={8 * n} (local.get $p) (i64.const {word}))" for n, word in enumerate(words)
+                f"(i64.store offset={8 * n} (local.get $p) (i64.const {word}))"
+                for n, word in enumerate(words)
             )
             return {"size": str(size), "image": " ".join(stores)}
         name = f"$made{i.quad.b}{i.row.name}"
@@ -319,7 +335,9 @@ class Method:
             f"(local.set $x (i64.add (i64.load offset={8 * FRAME_DEPTH} (local.get $frame)) (i64.const 1)))",
             *self._leave("(i64.gt_s (local.get $x) (global.get $deepest))", i.pc, 1),
             "(local.set $p (global.get $top))",
-            *self._leave(f"(i32.gt_u (i32.add (local.get $p) (i32.const {size})) (global.get $end))", i.pc, 1),
+            *self._leave(
+                f"(i32.gt_u (i32.add (local.get $p) (i32.const {size})) (global.get $end))", i.pc, 1
+            ),
             f"(global.set $top (i32.add (local.get $p) (i32.const {size})))",
             f"(i64.store (local.get $p) (i64.const {head}))",
             f"(i64.store offset={8 * FRAME_CALLER} (local.get $p) {_reference('$frame')})",

@@ -36,7 +36,9 @@ class Module:
 
 def module(prepared: Prepared) -> Module:
     """The module of a program."""
-    methods = {m.index: m for m in (_method(prepared, i) for i in range(len(prepared.program.core.methods))) if m}
+    methods = {
+        m.index: m for m in (_method(prepared, i) for i in range(len(prepared.program.core.methods))) if m
+    }
     for method in methods.values():
         method.others = methods.keys()
     functions = [m.text() for m in methods.values()]

@@ -109,4 +109,3 @@ class Routes:
                 return list(dict.fromkeys((self.first(yes), self.first(no))))
             case _:
                 return []
-
