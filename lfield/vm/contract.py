@@ -137,10 +137,12 @@ BLOCKED = Blocked()
 class Engine(Protocol):
     """Runs threads of blocks of one program. Keeps nothing between two runs: another one may go on."""
 
-    #: Where the blocks that it runs best have their bytes.
-    space: Space
     #: How many times as much as the reference engine it does before the world is looked at.
     pace: int
+
+    @property
+    def space(self) -> Space:
+        """Where the blocks that it runs best have their bytes."""
 
     @property
     def layouts(self) -> Layouts:

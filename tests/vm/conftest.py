@@ -1,4 +1,4 @@
-"""Each test of the machine on the reference engine, and on two that take turns and are compared at every exit."""
+"""Each test of the machine on the reference engine, and on two that take turns and are compared."""
 
 from __future__ import annotations
 

@@ -12,14 +12,20 @@ from lfield.vm.memory.space import Buffer
 
 _NEW_WORDS = memoryview(bytes(8 * HEADER_WORDS)).cast("q")
 
+#: Up to so many words a block grows only because it is filled often: 128 KiB.
+GENEROUS = 1 << 14
+
 
 def collect(block: Block, layouts: Layouts, room: int = 0) -> None:
     """Compact the block and leave at least `room` words free if its limit (and reserve) allows.
 
-    Every reference that lies outside the block (a thread's place, say) is wrong afterwards.
+    Whoever fills a small block again and again gets a larger one, up to GENEROUS, so that collections cost
+    little beside the work that makes the garbage. Every reference that lies outside the block (a thread's
+    place, say) is wrong afterwards.
     """
+    size = len(block.w)
     data, top = _compact(block, layouts)
-    wanted = max(INITIAL_WORDS, 2 * (top + room))
+    wanted = max(INITIAL_WORDS, min(2 * size, GENEROUS), 2 * (top + room))
     most = block.limit if top + room <= block.limit else block.limit + RESERVE_WORDS
     words = max(top, min(wanted, most))
     block.replace(block.space.sized(data, 8 * words), top)

@@ -13,6 +13,9 @@ def deep_copy(source: Block, roots: list[int], target: Block, layouts: Layouts) 
     anything. The words around the references are copied as they are, so both blocks must be of the same
     program.
     """
+    if not any(roots):
+        target.require(0)
+        return list(roots)
     done = target.space.copied(source.data, source.top, roots, target.data, target.top, target.end, layouts)
     if done is not None:
         copies, top = done

@@ -13,6 +13,7 @@ from typing import Any
 import wasmtime
 
 from lfield.vm.memory.space import SEPARATE, Buffer
+from lfield.vm.wasm.lower.module import STACK
 
 PAGE = 1 << 16
 #: The most a memory can have. With so many addresses reserved, code needs no checks that it stays within.
@@ -23,8 +24,6 @@ RESERVATIONS = (WHOLE, 1 << 30, 1 << 28, 1 << 26, 1 << 24)
 _SMALLEST = 512
 #: A memory grows by so many pages at least: growing costs a call of the system, untouched pages cost nothing.
 _STEP = 16
-#: The bytes that overflow in a wasm function's own stack, in bytes; see `lfield.vm.wasm.engine`.
-STACK = 1 << 20
 
 
 @cache

@@ -14,7 +14,7 @@ from wasmtime import _bindings as bindings
 #: where a trap is put; gives an error. Addresses are sooner handed over than typed pointers.
 _ENTER = ctypes.CFUNCTYPE(
     ctypes.c_void_p, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_size_t, ctypes.c_void_p
-)(ctypes.cast(bindings._wasmtime_func_call_unchecked, ctypes.c_void_p).value or 0)
+)(ctypes.cast(bindings.dll.wasmtime_func_call_unchecked, ctypes.c_void_p).value or 0)
 _TRAP = ctypes.POINTER(bindings.wasm_trap_t)
 _ERROR = ctypes.POINTER(bindings.wasmtime_error_t)
 

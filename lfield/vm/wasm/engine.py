@@ -15,13 +15,14 @@ from lfield.vm.contract import SPENT, STOPPED, Done, Exit, Group, Limits, Readin
 from lfield.vm.memory.block import Block
 from lfield.vm.memory.layout import THREAD_FRAME, THREAD_ID, THREAD_PC, Layouts
 from lfield.vm.reference import Engine as Reference
-from lfield.vm.wasm.arena import compiler
 from lfield.vm.wasm.calls import quick, unsigned
+from lfield.vm.wasm.code import Cache, code_of
 from lfield.vm.wasm.heaps import Heaps
 from lfield.vm.wasm.lower.method import DONE, SHORT
-from lfield.vm.wasm.lower.module import REGISTERS, module
+from lfield.vm.wasm.lower.module import REGISTERS, low_bytes
+from lfield.vm.wasm.lower.table import RUNTIME
 
-_BASE, _TOP, _END, _FRAME, _POINT, _LEFT, _DEPTH, _THREAD, _LONGEST, _PC, _WORD = range(len(REGISTERS))
+_BASE, _TOP, _END, _FRAME, _POINT, _LEFT, _DEPTH, _THREAD, _LONGEST, _TEXT, _PC, _WORD = range(len(REGISTERS))
 
 
 class Engine:
@@ -29,15 +30,17 @@ class Engine:
 
     pace = 20
 
-    def __init__(self, program: Program, now: Callable[[], float]) -> None:
+    def __init__(self, program: Program, now: Callable[[], float], cache: Cache | None = None) -> None:
         self.program = program
         self._reference = Reference(program, now)
-        made = module(self._reference.prepared)
-        self._points = made.points
-        self.space = Heaps(made.low)
-        compiled = wasmtime.Module(compiler(self.space.reservation), wasmtime.wat2wasm(made.text))
+        self.space = Heaps(low_bytes(program))
+        code = code_of(self._reference.prepared, self.space.reservation, cache)
+        self._points = code.points
         store = self.space.store
-        instance = wasmtime.Instance(store, compiled, [self.space.memory])
+        runtime = self.space.functions.instance.exports(store)
+        instance = wasmtime.Instance(
+            store, code.compiled, [self.space.memory, *(runtime[name] for name in RUNTIME)]
+        )
         self._registers = self.space.view(0, 8 * len(REGISTERS)).cast("q")
         self._enter = quick(store, instance, "run", 0)
         self._left = 0
@@ -105,6 +108,7 @@ class Engine:
         registers[_DEPTH] = limits.call_depth
         registers[_THREAD] = w[thread + THREAD_ID]
         registers[_LONGEST] = limits.array_length
+        registers[_TEXT] = limits.string_length
         status = unsigned(self._enter())
         block.top = registers[_TOP] - base >> 3
         w[thread + THREAD_FRAME] = registers[_FRAME] - base >> 3

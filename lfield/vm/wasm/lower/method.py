@@ -1,4 +1,4 @@
-"""One function for each method: its slots are locals, and go to its frame in the block when somebody may look.
+"""One function for each method: its slots are locals, and go to its frame when somebody may look at it.
 
 The parameters are the address of the frame, the point where to resume (0: at the beginning) and the
 arguments; the results are the method's and whether it has returned (RETURNED). If it has not, every function
@@ -265,9 +265,9 @@ class Method:
         """What the braces of a row stand for."""
         slots: dict[str, int] = {}
         given: dict[str, Any] = {"slots": slots}
-        for number, (operand, kind) in enumerate(zip(i.arguments, i.row.takes or (), strict=False)):
-            slots[str(number)] = operand
-            given[str(number)] = self._value(operand, "f64" if kind == "real" else "i64")
+        for number, (pushed, takes) in enumerate(zip(i.arguments, i.row.takes or (), strict=False)):
+            slots[str(number)] = pushed
+            given[str(number)] = self._value(pushed, "f64" if takes == "real" else "i64")
         if i.into >= 0:
             given["a"] = f"$s{i.into}"
         elif i.row.takes is None:
@@ -299,10 +299,9 @@ class Method:
 
     def _made(self, i: Instruction) -> dict[str, str]:
         """Of instructions that make things: their size, and how they are written at $p."""
-        if i.row.name == "newarray":
-            return {"head": str(ARRAY | i.quad.b << 8)}
+        made = {"made": _reference("$p"), "head": str(ARRAY | i.quad.b << 8)}
         if i.row.name not in ("lds", "new"):
-            return {}
+            return made
         words = image_of(self._prepared, i)
         size = 8 * len(words)
         if len(words) <= _UNROLLED:
@@ -310,11 +309,11 @@ class Method:
                 f"(i64.store offset={8 * n} (local.get $p) (i64.const {word}))"
                 for n, word in enumerate(words)
             )
-            return {"size": str(size), "image": " ".join(stores)}
+            return {**made, "size": str(size), "image": " ".join(stores)}
         name = f"$made{i.quad.b}{i.row.name}"
         self.segments[name] = struct.pack(f"<{len(words)}q", *words)
         image = f"(memory.init {name} (local.get $p) (i32.const 0) (i32.const {size}))"
-        return {"size": str(size), "image": image}
+        return {**made, "size": str(size), "image": image}
 
     def _calls(self, i: Instruction) -> bool:
         return i.quad.a in self.others and i.arguments[0] >= 0

@@ -10,16 +10,33 @@ from __future__ import annotations
 import struct
 from dataclasses import dataclass
 
+from lfield.bytecode.program import Program
 from lfield.vm.memory.layout import FRAME_CALLER, FRAME_DEPTH, FRAME_RETURN, FRAME_SLOTS
 from lfield.vm.reference.prepare import Prepared
-from lfield.vm.wasm.arena import STACK
+from lfield.vm.wasm.lower.maths import maths_name, maths_text
 from lfield.vm.wasm.lower.method import RETURNED, STEP, Method
 from lfield.vm.wasm.lower.routes import Irreducible
+from lfield.vm.wasm.lower.table import MATHS, RUNTIME
 
+#: The size of WebAssembly's own stack, in bytes.
+STACK = 1 << 20
 #: Words at the beginning of the memory. Addresses: of the block, its top, its end, the thread's frame. The
-#: point to resume at; the budget that is left; the depth of calls, the thread, the length of arrays that are
-#: allowed. The instruction where a run has ended, and the word it has given.
-REGISTERS = ("base", "top", "end", "frame", "point", "left", "depth", "thread", "longest", "pc", "word")
+#: point to resume at; the budget that is left; the depth of calls, the thread, the lengths of arrays and of
+#: texts that are allowed. The instruction where a run has ended, and the word it has given.
+REGISTERS = (
+    "base",
+    "top",
+    "end",
+    "frame",
+    "point",
+    "left",
+    "depth",
+    "thread",
+    "longest",
+    "text",
+    "pc",
+    "word",
+)
 _AT = {name: 8 * i for i, name in enumerate(REGISTERS)}
 #: Where the table of returns is: what is to be done behind each call, by the instruction there.
 _RETURNS = 1024
@@ -27,11 +44,10 @@ _RETURNS = 1024
 
 @dataclass(frozen=True, slots=True)
 class Module:
-    """The text, the point of each instruction that has one, and how many bytes at the beginning it uses."""
+    """The text, and the point of each instruction that has one."""
 
     text: str
     points: dict[int, int]
-    low: int
 
 
 def module(prepared: Prepared) -> Module:
@@ -45,16 +61,16 @@ def module(prepared: Prepared) -> Module:
     points = {pc: number for m in methods.values() for pc, number in m.points.items()}
     returns = _returns(prepared, points)
     segments = {name: data for m in methods.values() for name, data in m.segments.items()}
-    low = _RETURNS + len(returns)
     count = len(prepared.program.core.methods)
     deepest = _deepest(prepared)
     lines = [
         "(module",
-        '(import "lfield" "memory" (memory 1))',
+        '(import "arena" "memory" (memory 1))',
+        *(f'(import "runtime" "{name}" (func ${name} {kind}))' for name, kind in RUNTIME.items()),
         *(f"(global ${name} (mut i32) (i32.const 0))" for name in ("base", "top", "end", "frame", "pc")),
         *(
             f"(global ${name} (mut i64) (i64.const 0))"
-            for name in ("left", "deepest", "thread", "longest", "word")
+            for name in ("left", "deepest", "thread", "longest", "text", "word")
         ),
         f'(data (i32.const {_RETURNS}) "{_escaped(returns)}")',
         *(f'(data {name} "{_escaped(data)}")' for name, data in segments.items()),
@@ -64,10 +80,16 @@ def module(prepared: Prepared) -> Module:
         "(func $none (type $entry) unreachable)",
         *(_entry(m, prepared) for m in methods.values()),
         *functions,
+        maths_text(name for name in MATHS if any(f" {maths_name(name)} " in text for text in functions)),
         _driver(deepest),
         ")",
     ]
-    return Module("\n".join(line for line in lines if line) + "\n", points, low + -low % 8)
+    return Module("\n".join(line for line in lines if line) + "\n", points)
+
+
+def low_bytes(program: Program) -> int:
+    """How many bytes at the beginning of the memory the module uses."""
+    return _RETURNS + 8 * (len(program.quads) + 1)
 
 
 def _method(prepared: Prepared, index: int) -> Method | None:
@@ -84,7 +106,7 @@ def _deepest(prepared: Prepared) -> int:
 
 
 def _returns(prepared: Prepared, points: dict[int, int]) -> bytes:
-    """Two 32-bit numbers for each instruction: the point of the caller, and where in its frame the result goes.
+    """Two 32-bit numbers for each instruction behind a call: its point, and where in the frame a result goes.
 
     0 for no point, 0 for no result.
     """
@@ -115,7 +137,7 @@ def _entry(m: Method, prepared: Prepared) -> str:
 
 
 def _driver(deepest: int) -> str:
-    """`run`: from the registers, until something leaves; the result says how (`lfield.vm.wasm.lower.method`)."""
+    """`run`: from the registers, until something leaves; the result says how, as that of a method does."""
     into = {name: f"(i32.load (i32.const {_AT[name]}))" for name in ("base", "top", "end")}
     return f"""
 (func (export "run") (result i32)
@@ -124,6 +146,7 @@ def _driver(deepest: int) -> str:
   {" ".join(f"(global.set ${name} {value})" for name, value in into.items())}
   (global.set $left (i64.load (i32.const {_AT["left"]})))
   (global.set $thread (i64.load (i32.const {_AT["thread"]})))
+  (global.set $text (i64.load (i32.const {_AT["text"]})))
   (global.set $longest (i64.load (i32.const {_AT["longest"]})))
   (local.set $frame (i32.load (i32.const {_AT["frame"]})))
   (local.set $point (i32.load (i32.const {_AT["point"]})))

@@ -9,7 +9,7 @@ import wasmtime
 
 from lfield.vm.wasm.calls import quick
 
-#: The files of its text.
+#: The files of its text: what all use, what is done with whole heaps, what compiled methods call.
 PARTS = ("words", "collect", "copy", "sound", "strings", "texts")
 
 
@@ -28,7 +28,11 @@ def runtime_module(engine: wasmtime.Engine) -> wasmtime.Module:
 
 
 class Functions:
-    """The runtime over one memory. Addresses are bytes from its beginning; what each is: the .wat files."""
+    """The runtime over one memory.
+
+    Each takes and gives whole numbers, which the .wat files explain; addresses are in bytes from the
+    beginning of the memory. Any trap in them is a bug of ours.
+    """
 
     def __init__(self, engine: wasmtime.Engine, store: wasmtime.Store, memory: wasmtime.Memory) -> None:
         #: For modules that import its functions.

@@ -1,4 +1,4 @@
-"""The memory of all blocks of a host: its regions stay while somebody sees them; blocks lie in them as ever."""
+"""The memory of all blocks of a host: its regions stay while they are seen, and blocks lie in them."""
 
 from __future__ import annotations
 
