@@ -12,6 +12,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import NoReturn
 
 from lfield.bytecode.program import Program
+from lfield.testing.fuzz.twin_space import TwinSpace
 from lfield.vm.contract import SPENT, Engine, Engines, Exit, Group, Limits, Reading
 from lfield.vm.memory.block import Block
 from lfield.vm.memory.layout import THREAD_FRAME, THREAD_PC, Layouts
@@ -39,7 +40,7 @@ class Twin:
     ) -> None:
         self.reference = Reference(program, now)
         self.tried: Engine = engines(program, now)
-        self.space, self.pace = self.tried.space, 1
+        self.space, self.pace = TwinSpace(self.tried.space, self._differs), 1
         self.differences: list[str] = []
         self.done, self.exits = 0, 0
         self._dice, self._longest = dice, longest
