@@ -1,7 +1,7 @@
 """Try random programs on two engines: python -m lfield.testing.fuzz --count 1000 --seed 1
 
-Each program of L is tried as it is and changed a few times (`--mutants`). A difference is shrunk and printed; the
-same seed finds it again.
+Each program of L is tried as it is, and changed a few times (`--mutants`). A difference is shrunk and
+printed; the same seed finds it again.
 """
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import importlib
 import random
+import re
 import sys
 import time
 from collections.abc import Iterator
@@ -21,8 +22,8 @@ from lfield.testing.fuzz.mutations import Edit, edited, random_edits
 from lfield.testing.fuzz.programs import random_program
 from lfield.testing.fuzz.shrinking import shrink, shrunk_edits
 from lfield.testing.fuzz.trial import Outcome, deployed, tried
-from lfield.testing.fuzz.twin import Maker
 from lfield.testing.golden import compile_text
+from lfield.vm.contract import Engines
 
 #: Seconds between two lines of progress.
 _EVERY = 20.0
@@ -54,15 +55,15 @@ class Tally:
 class Fuzz:
     """Tries the programs of seeds on one engine."""
 
-    def __init__(self, maker: Maker, mutants: int) -> None:
-        self._maker, self._mutants = maker, mutants
+    def __init__(self, engines: Engines, mutants: int) -> None:
+        self._engines, self._mutants = engines, mutants
         self.tally = Tally()
 
     def seed(self, seed: int) -> Iterator[str]:
         """Try one program and its mutants; a report for each difference."""
         piece = random_program(random.Random(seed))
         program, team = compile_text(piece.text()), deployed(piece.text())
-        outcome = tried(program, team, seed, self._maker)
+        outcome = tried(program, team, seed, self._engines)
         self.tally.add(outcome)
         if outcome.differences:
             self.tally.found += 1
@@ -71,7 +72,7 @@ class Fuzz:
         for number in range(self._mutants):
             dice = random.Random(f"{seed} {number}")
             mutant, edits = random_edits(program, dice, dice.choice((1, 2, 4, 8)))
-            outcome = tried(mutant, team, seed + number, self._maker)
+            outcome = tried(mutant, team, seed + number, self._engines)
             self.tally.add(outcome)
             if outcome.differences:
                 self.tally.found += 1
@@ -83,36 +84,48 @@ class Fuzz:
         def outcome() -> Outcome | None:
             try:
                 program = compile_text(piece.text())
-                return tried(program, deployed(piece.text()), seed, self._maker)
+                return tried(program, deployed(piece.text()), seed, self._engines)
             except (ProgramError, StopIteration):
                 return None
 
         shrink(piece, lambda: (found := outcome()) is not None and found.differences != ())
         found = outcome()
         assert found is not None
-        listing = disassemble(compile_text(piece.text()))
-        return f"seed {seed}: {found.differences[0]}\n{piece.text()}\n{listing}"
+        first = found.differences[0]
+        return f"seed {seed}: {first}\n{piece.text()}\n{around(compile_text(piece.text()), first)}"
 
     def _shrunk_mutant(
         self, program: Program, team: list[tuple[str, str, str]], edits: list[Edit], seed: int, number: int
     ) -> str:
         def outcome(kept: list[Edit]) -> Outcome | None:
             mutant = edited(program, kept)
-            return None if mutant is None else tried(mutant, team, seed + number, self._maker)
+            return None if mutant is None else tried(mutant, team, seed + number, self._engines)
 
         kept = shrunk_edits(edits, lambda e: (found := outcome(e)) is not None and found.differences != ())
         found, mutant = outcome(kept), edited(program, kept)
         assert found is not None
         assert mutant is not None
         changes = "\n".join(str(edit) for edit in kept)
-        return f"seed {seed}, mutant {number}: {found.differences[0]}\n{changes}\n{disassemble(mutant)}"
+        first = found.differences[0]
+        return f"seed {seed}, mutant {number}: {first}\n{changes}\n{around(mutant, first)}"
 
 
-def engine_named(name: str) -> Maker:
+def around(program: Program, difference: str) -> str:
+    """The listing of the method that a difference speaks of."""
+    text = disassemble(program)
+    named = re.search(r"from instruction (\d+)", difference)
+    if named is None:
+        return text
+    pc = int(named[1])
+    parts = text.split("\n\n")
+    return next((part for part in parts if re.search(rf"^ *L?{pc}  ", part, re.MULTILINE)), text)
+
+
+def engine_named(name: str) -> Engines:
     """The engine of a `module:class`."""
     module, _, attribute = name.partition(":")
-    maker: Maker = getattr(importlib.import_module(module), attribute)
-    return maker
+    engines: Engines = getattr(importlib.import_module(module), attribute)
+    return engines
 
 
 def main(words: list[str]) -> int:

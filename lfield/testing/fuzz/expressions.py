@@ -6,18 +6,32 @@ import random
 
 from lfield.testing.fuzz.tree import Piece, written
 
-#: By type, what an expression of it can be: `#` with the types of its parts behind the last `|`. One with `!` is
-#: not the word null, one with `*` is a variable.
+#: By type, what an expression of it can be: `#` with the types of its parts behind the last `|`. One with `!`
+#: is not the word null, one with `*` is a variable.
 _FORMS: dict[str, tuple[str, ...]] = {
     "int": (
         *("(# + #)|int int", "(# - #)|int int", "(# * #)|int int", "(# / #)|int int", "(# % #)|int int"),
-        *("(-#)|int", "#.n|Node!", "#.next.n|Node!", "#[#]|int[]! int", "#.length()|int[]!", "#.length()|string!"),
+        *(
+            "(-#)|int",
+            "#.n|Node!",
+            "#.next.n|Node!",
+            "#[#]|int[]! int",
+            "#.length()|int[]!",
+            "#.length()|string!",
+        ),
         *("#.indexOf(#)|string! string", "f2i(#)|real", "s2i(#)|string", "s2i(i2s(#))|int", "abs(#)|int"),
         *("min(#, #)|int int", "max(#, #)|int int", "#.length()|Node[]!", "(# % 7)|int", "(# + 1)|int"),
     ),
     "real": (
         *("(# + #)|real real", "(# - #)|real real", "(# * #)|real real", "(# / #)|real real"),
-        *("(# % #)|real real", "(-#)|real", "i2f(#)|int", "#.r|Node!", "#[#]|real[]! int", "(# * #)|real int"),
+        *(
+            "(# % #)|real real",
+            "(-#)|real",
+            "i2f(#)|int",
+            "#.r|Node!",
+            "#[#]|real[]! int",
+            "(# * #)|real int",
+        ),
         *("sqrt(#)|real", "sin(#)|real", "cos(#)|real", "tan(#)|real", "asin(#)|real", "acos(#)|real"),
         *("atan2(#, #)|real real", "exp(#)|real", "log(#)|real", "pow(#, #)|real real", "floor(#)|real"),
         *("ceil(#)|real", "round(#)|real", "abs(#)|real", "min(#, #)|real real", "max(#, #)|real real"),
@@ -25,10 +39,27 @@ _FORMS: dict[str, tuple[str, ...]] = {
     ),
     "boolean": (
         *("(# < #)|int int", "(# <= #)|int int", "(# > #)|int int", "(# >= #)|int int", "(# == #)|int int"),
-        *("(# != #)|int int", "(# < #)|real real", "(# <= #)|real real", "(# > #)|real real", "(# >= #)|real real"),
+        *(
+            "(# != #)|int int",
+            "(# < #)|real real",
+            "(# <= #)|real real",
+            "(# > #)|real real",
+            "(# >= #)|real real",
+        ),
         *("(# == #)|real real", "(# != #)|real real", "(# == #)|string string", "(# != #)|string string"),
-        *("(# < #)|string string", "(# <= #)|string string", "(# > #)|string string", "(# >= #)|string string"),
-        *("(# == #)|Node! Node", "(# != #)|Node! Node", "(# == null)|Node!", "(# != null)|int[]!", "(# == null)|string!"),
+        *(
+            "(# < #)|string string",
+            "(# <= #)|string string",
+            "(# > #)|string string",
+            "(# >= #)|string string",
+        ),
+        *(
+            "(# == #)|Node! Node",
+            "(# != #)|Node! Node",
+            "(# == null)|Node!",
+            "(# != null)|int[]!",
+            "(# == null)|string!",
+        ),
         *("(!#)|boolean", "(# && #)|boolean boolean", "(# || #)|boolean boolean", "(# == #)|boolean boolean"),
         *("(# != #)|boolean boolean", "#.b|Node!"),
     ),
@@ -43,7 +74,19 @@ _FORMS: dict[str, tuple[str, ...]] = {
 }
 
 _LITERALS: dict[str, tuple[str, ...]] = {
-    "int": ("0", "1", "2", "3", "5", "7", "(-1)", "(-3)", "100", "9223372036854775807", "4611686018427387904"),
+    "int": (
+        "0",
+        "1",
+        "2",
+        "3",
+        "5",
+        "7",
+        "(-1)",
+        "(-3)",
+        "100",
+        "9223372036854775807",
+        "4611686018427387904",
+    ),
     "real": ("0.0", "1.0", "0.5", "(-1.5)", "2.0", "1e308", "1e-300", "1e16", "3.0", "0.1", "7.25"),
     "boolean": ("true", "false"),
     "string": ('""', '"a"', '"ab"', '"größe"', '"12"', '"1e400"', '"-7"', '"x y"'),

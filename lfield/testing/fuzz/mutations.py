@@ -1,7 +1,7 @@
-"""Programs that no compiler makes: compiled ones, changed here and there, as far as the verifier accepts them.
+"""Programs that no compiler makes: compiled ones, changed here and there as far as the verifier accepts it.
 
-Jumps go anywhere in a method, so loops have several entries; constants have any bits; handlers and calls are in
-places where L has none.
+Jumps go anywhere in a method, so loops have several entries; constants have any bits; handlers and calls are
+in places where L has none.
 """
 
 from __future__ import annotations
@@ -41,7 +41,13 @@ class Edit:
     constant: bool = False
 
     def __str__(self) -> str:
-        what = "constant" if self.constant else "method" if isinstance(self.value, MethodRecord) else "instruction"
+        what = (
+            "constant"
+            if self.constant
+            else "method"
+            if isinstance(self.value, MethodRecord)
+            else "instruction"
+        )
         return f"{what} {self.at} is {self.value}"
 
 
@@ -51,7 +57,7 @@ def edited(program: Program, edits: list[Edit]) -> Program | None:
     methods = list(program.core.methods)
     for edit in edits:
         if edit.constant:
-            assert not isinstance(edit.value, MethodRecord)
+            assert not isinstance(edit.value, MethodRecord | Quad)
             constants[edit.at] = edit.value
         elif isinstance(edit.value, MethodRecord):
             methods[edit.at] = edit.value

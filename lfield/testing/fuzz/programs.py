@@ -16,19 +16,27 @@ from lfield.testing.fuzz.tree import PLAIN, Piece, written
 #: The variables of every method: type, name, and what it is at first.
 _LOCALS = (
     *(("int", "i0", "3"), ("int", "i1", "n"), ("int", "i2", "0"), ("real", "r0", "x"), ("real", "r1", "1.5")),
-    *(("boolean", "b0", "true"), ("boolean", "b1", "n > 2"), ("string", "s0", '"ab"'), ("string", "s1", "null")),
+    *(
+        ("boolean", "b0", "true"),
+        ("boolean", "b1", "n > 2"),
+        ("string", "s0", '"ab"'),
+        ("string", "s1", '"größe"'),
+    ),
     *(("Node", "o0", "new Node(n)"), ("Node", "o1", "new Node(7)"), ("int[]", "v0", "new int[4]")),
     *(("int[]", "v1", "o0.a"), ("real[]", "w0", "new real[3]"), ("Node[]", "q0", "new Node[2]")),
 )
 _VARIABLES: dict[str, tuple[str, ...]] = {
     kind: tuple(name for of, name, _ in _LOCALS if of == kind) for kind in PLAIN
 }
+#: How a portal lets others in, who want its monitor perhaps.
+_PAUSES = ("sleep(0.25);", "yield();", "sleep(i2f(n) / 4.0);")
 #: What every method takes: how deep calls may go yet, and some values.
 _TAKES = "int d, int n, real x, Node p"
 
 _NODE = """class Node {
 public int n; public real r; public boolean b; public string s; public Node next; public int[] a;
-public Node(int k) { n = k; r = i2f(k) / 3.0; a = new int[3]; a[1] = k; if (k > 5) next = new Node(k / 2 - 1); }
+public Node(int k) {
+n = k; r = i2f(k) / 3.0; a = new int[3]; a[1] = k; if (k > 5) next = new Node(k / 2 - 1); }
 public Node link(int k, Node o) { next = o; n = n + k; return this; }
 public int dive(int k) { int m = k + 1; return dive(m) - k; }
 #
@@ -64,7 +72,9 @@ class _Maker:
         self.methods = {unit: self._names(unit) for unit in ("Node", "Store", "Walker")}
 
     def _names(self, unit: str) -> dict[str, tuple[str, ...]]:
-        kinds = self.dice.choices(("int", "int", "real", "boolean", "string", "Node", "int[]"), k=self.dice.choice((1, 1, 2)))
+        kinds = self.dice.choices(
+            ("int", "int", "real", "boolean", "string", "Node", "int[]"), k=self.dice.choice((1, 1, 2))
+        )
         numbers = count()
         found: dict[str, tuple[str, ...]] = {}
         for kind in kinds:
@@ -97,16 +107,23 @@ class _Maker:
                 found[kind] = (*found.get(kind, ()), *((call,) * 3))
         return found
 
-    def _body(self, unit: str, result: str, end: str, guarded: bool = False) -> Piece:
+    def _body(self, unit: str, result: str, end: str, guarded: bool = False, pauses: bool = False) -> Piece:
         """A method's own: the variables that it uses, statements, and an end."""
         waits = ["yield();|", "print(#);|int", "sleep(0.25);|", "r1 = random();|", "i2 = random(5);|"]
         if unit == "Walker":
-            waits += ["i0 = st.ask(#, #);|int Node", "st.tell(#, #, #);|real string int[]"] * 2
+            waits += ["i0 = st.ask(#, #);|int Node", "st.tell(#, #, #);|real string int[]"] * 6
         calls = self._calls(unit)
         expressions = Expressions(self.dice, _VARIABLES, calls)
         statements = Statements(self.dice, expressions, _VARIABLES, result, tuple(waits))
-        block = statements.block(self.depth, self.size + guarded)
-        body = [self._guarded(piece) for piece in block] if guarded else block
+        body = statements.block(self.depth, self.size + guarded)
+        if unit == "Walker":
+            body += [statements.wait() for _ in range(2)]
+        if guarded:
+            rounds = self.dice.choice((1, 3, 10) if unit == "Walker" else (1, 2))
+            often = f"for (int k8 = 0; k8 < {rounds}; k8 = k8 + 1) {{ # }}"
+            body = [written("", often, [self._guarded(piece) for piece in body])]
+        if pauses:
+            body.insert(self.dice.randint(0, len(body)), Piece("", [self.dice.choice(_PAUSES)]))
         body += [Piece("", [end])] if end else []
         return Piece("", [[*_declared(body), *body]])
 
@@ -137,7 +154,7 @@ class _Maker:
     def _portal(self, number: int) -> Piece:
         how = self.dice.choice(("portal", "portal synchronized"))
         head = ("ask(int m, Node o) emit int", "tell(real y, string t, int[] v)")[number]
-        body = self._body("Store", *(("int", "return i1;") if number == 0 else ("", "")))
+        body = self._body("Store", *(("int", "return i1;") if number == 0 else ("", "")), pauses=True)
         return written("", f"\n{how} {head} {{ int d = 3;\n#\n}}", body)
 
 

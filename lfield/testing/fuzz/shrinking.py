@@ -77,8 +77,9 @@ def _expressions(program: Piece, shows: Shows, spare: Spare) -> None:
             continue
         old = piece.parts
         inner = [part for part in old if isinstance(part, Piece) and part.kind == piece.kind]
-        for parts in [[PLAIN[piece.kind]], *([part] for part in inner)]:
-            piece.parts = list(parts)
+        choices: list[str | Piece] = [PLAIN[piece.kind], *inner]
+        for smaller in choices:
+            piece.parts = [smaller]
             if spare.use(shows):
                 break
             piece.parts = old

@@ -25,8 +25,8 @@ _TARGETS: dict[str, tuple[str, ...]] = {
 class Statements:
     """Draws the body of a method.
 
-    `own` are the variables by type, `result` the type that the method gives, "" for none; `waits` are statements
-    that only the machine can carry out.
+    `own` are the variables by type, `result` the type that the method gives, "" for none; `waits` are
+    statements that only the machine can carry out.
     """
 
     def __init__(
@@ -59,7 +59,12 @@ class Statements:
             case "call":
                 return written("", "o0 = o1.link(#, o0);", draw("int"))
             case "throw":
-                return written("", f'if (#) throw new {self.dice.choice(_CLASSES)}(#);', draw("boolean"), draw("string", 1))
+                return written(
+                    "",
+                    f"if (#) throw new {self.dice.choice(_CLASSES)}(#);",
+                    draw("boolean"),
+                    draw("string", 1),
+                )
             case "leave":
                 return self._leave()
             case "wait":
@@ -128,7 +133,13 @@ class Statements:
         handler.append(Piece("", [f"if (b0) {{ {told} }}"]))
         if not with_finally:
             return written("", f"try {{ # }} catch ({caught} {name}) {{ # }}", body, handler)
-        return written("", f"try {{ # }} catch ({caught} {name}) {{ # }} finally {{ # }}", body, handler, self._last(depth))
+        return written(
+            "",
+            f"try {{ # }} catch ({caught} {name}) {{ # }} finally {{ # }}",
+            body,
+            handler,
+            self._last(depth),
+        )
 
     def _finally(self, depth: int) -> Piece:
         return written("", "try { # } finally { # }", self.block(depth - 1), self._last(depth))

@@ -20,7 +20,7 @@ PLAIN = {
 
 @dataclass(eq=False)
 class Piece:
-    """An expression of a type, or a statement (`kind` is "" then): text, smaller pieces, and blocks of statements."""
+    """An expression of a type, or a statement (of kind ""): text, smaller pieces, blocks of statements."""
 
     kind: str
     parts: list[str | Piece | list[Piece]] = field(default_factory=list)

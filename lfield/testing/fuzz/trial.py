@@ -4,26 +4,24 @@ from __future__ import annotations
 
 import random
 import re
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from lfield.bytecode.program import Program
 from lfield.clock import ManualClock
-from lfield.testing.fuzz.twin import Enough, Maker, Twin
+from lfield.testing.fuzz.twin import Enough, Twin
 from lfield.testing.golden import Desk, team_for
-from lfield.vm import scheduler as scheduler_module
-from lfield.vm.contract import Limits
+from lfield.vm.contract import Engines, Limits
 from lfield.vm.machine import Machine
 
 #: Instructions that one trial does at most, and rounds of the machine.
-LONGEST, ROUNDS = 6000, 60
+LONGEST, ROUNDS = 6000, 150
 _DEPLOY = re.compile(r"//\s*deploy:\s*(\w+):(\w+)(?:\?(\S*))?\s*$", re.MULTILINE)
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What came of a trial: what differed, first of all, how many instructions both did, and in how many slices."""
+    """What came of a trial: what differed, how many instructions both did, and in how many slices."""
 
     differences: tuple[str, ...]
     instructions: int
@@ -45,20 +43,19 @@ def deployed(text: str) -> list[tuple[str, str, str]]:
     return _DEPLOY.findall(text)
 
 
-def tried(program: Program, team: list[tuple[str, str, str]], seed: int, maker: Maker) -> Outcome:
-    """Run a program on an engine and the reference engine; the seed decides limits, slices and chance."""
+def tried(program: Program, team: list[tuple[str, str, str]], seed: int, engines: Engines) -> Outcome:
+    """Run a program on an engine and the reference engine; the seed decides limits and slices."""
     dice = random.Random(seed)
     limits = random_limits(dice)
     desk, clock = Desk(), ManualClock()
     made: list[Twin] = []
 
     def twin(program: Program, now: Callable[[], float]) -> Twin:
-        made.append(Twin(program, now, maker, dice, LONGEST))
+        made.append(Twin(program, now, engines, dice, LONGEST))
         return made[0]
 
-    with _engine(twin):
-        members = team_for(program, team)
-        machine = desk.machine = Machine(program, members, 0, 1, desk, clock, random.Random(1))
+    members = team_for(program, team)
+    machine = desk.machine = Machine(program, members, 0, 1, desk, clock, random.Random(1), engines=twin)
     for member in members:
         machine.start(member, limits, generation=1)
     for _ in range(ROUNDS):
@@ -73,14 +70,3 @@ def _bugs(desk: Desk) -> tuple[str, ...]:
     """What an agent has died of that is neither L's nor the end of the trial."""
     lines = [agent.report.splitlines()[0] for agent in desk.endings if agent.report]
     return tuple(line for line in lines if "bug in lfield" in line and Enough.__name__ not in line)
-
-
-@contextmanager
-def _engine(maker: object) -> Iterator[None]:
-    """Let machines have another engine."""
-    usual = scheduler_module.Engine
-    scheduler_module.Engine = maker  # type: ignore[misc, assignment]
-    try:
-        yield
-    finally:
-        scheduler_module.Engine = usual  # type: ignore[misc]

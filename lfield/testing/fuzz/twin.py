@@ -1,43 +1,22 @@
 """An engine that is two: both do every slice, and all that can be seen of it must be the same.
 
-It stands where an engine stands in a machine, so whatever runs on a machine can be run on both: exits, what is
-left of the budget, and the bytes of the block are compared at the end of every slice. Slices are cut at random
-besides, since between any two instructions one engine may take over from another.
+It stands where an engine stands in a machine, so whatever runs on a machine can be run on both: exits, what
+is left of the budget, and the bytes of the block are compared at the end of every slice. Slices are cut at
+random besides, since between any two instructions one engine may take over from another.
 """
 
 from __future__ import annotations
 
 import random
-from collections.abc import Callable, Sequence
-from typing import Protocol
+from collections.abc import Callable, Mapping, Sequence
+from typing import NoReturn
 
 from lfield.bytecode.program import Program
-from lfield.vm.contract import SPENT, Exit, Limits, Reading
+from lfield.testing.fuzz.twin_space import TwinSpace
+from lfield.vm.contract import SPENT, Engine, Engines, Exit, Group, Limits, Reading
 from lfield.vm.memory.block import Block
 from lfield.vm.memory.layout import THREAD_FRAME, THREAD_PC, Layouts
-from lfield.vm.memory.space import Space
-from lfield.vm.reference import Engine
-from lfield.vm.reference.prepare import Group, Prepared
-
-
-class Tried(Protocol):
-    """What is compared with the reference engine."""
-
-    @property
-    def space(self) -> Space: ...
-    @property
-    def unused(self) -> int: ...
-    @property
-    def asked(self) -> bool: ...
-    def run(
-        self, block: Block, thread: int, budget: int, limits: Limits, readings: Sequence[Reading | None]
-    ) -> Exit: ...
-    def complete(self, block: Block, thread: int, word: int) -> None: ...
-    def throw(self, block: Block, thread: int, thrown: int) -> bool: ...
-
-
-#: How an engine is made, for a program and a clock.
-Maker = Callable[[Program, Callable[[], float]], Tried]
+from lfield.vm.reference import Engine as Reference
 
 
 class Enough(Exception):
@@ -47,24 +26,21 @@ class Enough(Exception):
 class Twin:
     """The engine that is tried, and the reference engine on a copy of each block.
 
-    `longest` instructions are done at most. What differs is noted in `differences`, a sentence for each, and ends
-    the trial.
+    `longest` instructions are done at most. What differs is noted in `differences`, a sentence for each, and
+    ends the trial.
     """
 
     def __init__(
         self,
         program: Program,
         now: Callable[[], float],
-        maker: Maker,
+        engines: Engines,
         dice: random.Random,
         longest: int,
     ) -> None:
-        self.program = program
-        self.reference = Engine(program, now)
-        self.tried = maker(program, now)
-        self.prepared: Prepared = self.reference.prepared
-        self.layouts: Layouts = self.reference.layouts
-        self.space = self.tried.space
+        self.reference = Reference(program, now)
+        self.tried: Engine = engines(program, now)
+        self.space, self.pace = TwinSpace(self.tried.space, self._differs), 1
         self.differences: list[str] = []
         self.done, self.exits = 0, 0
         self._dice, self._longest = dice, longest
@@ -80,9 +56,15 @@ class Twin:
         """As of both."""
         return self.reference.asked
 
-    def group(self, pc: int) -> Group:
+    @property
+    def layouts(self) -> Layouts:
         """As of the reference engine."""
-        return self.reference.group(pc)
+        return self.reference.layouts
+
+    @property
+    def groups(self) -> Mapping[int, Group]:
+        """As of the reference engine."""
+        return self.reference.groups
 
     def run(
         self,
@@ -146,7 +128,8 @@ class Twin:
         try:
             return work()
         except Exception as error:
-            self._differs(f"{what}: {type(error).__name__}: {error}")
+            failed = f"{type(error).__name__}: {error}"
+        return self._differs(f"{what}: {failed}")
 
     def _same(self, what: str, of: str, expected: object, found: object) -> None:
         if expected != found:
@@ -162,7 +145,7 @@ class Twin:
         for place in range(expected.top):
             self._same(what, f"word {place}", hex(expected.w[place]), hex(found.w[place]))
 
-    def _differs(self, how: str) -> None:
+    def _differs(self, how: str) -> NoReturn:
         self.differences.append(how)
         raise Enough
 

@@ -370,8 +370,5 @@ def _address(reference: str) -> str:
 
 
 def _real(value: float) -> str:
-    """A real constant: its bits, so that NaN keeps its own."""
-    if value != value:
-        bits = struct.unpack("<q", struct.pack("<d", value))[0]
-        return f"{'-' if bits < 0 else ''}nan:0x{bits & 0xFFFFFFFFFFFFF:x}"
-    return value.hex()
+    """A real constant; there is one NaN (decision 58)."""
+    return "nan" if value != value else value.hex()
