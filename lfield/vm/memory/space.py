@@ -49,10 +49,13 @@ class Space(Protocol):
         `end`, the negated number of the words needed; None where the space cannot.
         """
 
-    def walked(self, data: Buffer, heap: int, top: int, shapes: Shapes) -> Mapping[int, int] | None:
-        """Where things begin between two words, each with the low half of its header, if all are sound.
+    def walked(
+        self, data: Buffer, heap: int, top: int, shapes: Shapes
+    ) -> tuple[Mapping[int, int], list[int]] | None:
+        """Where things begin between two words, each with the low half of its header, and the tickets.
 
-        None where the space cannot tell (`lfield.vm.memory.soundness`). It is valid until the next one.
+        Sizes, texts, proxies and references are sound then; None where the space cannot tell
+        (`lfield.vm.memory.soundness`). It is valid until the next one.
         """
 
 
@@ -87,7 +90,9 @@ class Separate:
     ) -> tuple[list[int], int] | None:
         return None
 
-    def walked(self, data: Buffer, heap: int, top: int, shapes: Shapes) -> Mapping[int, int] | None:
+    def walked(
+        self, data: Buffer, heap: int, top: int, shapes: Shapes
+    ) -> tuple[Mapping[int, int], list[int]] | None:
         return None
 
 
