@@ -19,7 +19,8 @@ from lfield.vm.wasm.calls import quick, unsigned
 from lfield.vm.wasm.code import Cache, code_of
 from lfield.vm.wasm.heaps import Heaps
 from lfield.vm.wasm.lower.method import DONE, SHORT
-from lfield.vm.wasm.lower.module import REGISTERS, low_bytes
+from lfield.vm.wasm.lower.driver import REGISTERS
+from lfield.vm.wasm.lower.module import low_bytes
 from lfield.vm.wasm.lower.table import RUNTIME
 
 _BASE, _TOP, _END, _FRAME, _POINT, _LEFT, _DEPTH, _THREAD, _LONGEST, _TEXT, _PC, _WORD = range(len(REGISTERS))

@@ -61,6 +61,13 @@ class Return:
 
 
 @dataclass(frozen=True, slots=True)
+class Throw:
+    """Throws the object in a slot."""
+
+    what: Instruction
+
+
+@dataclass(frozen=True, slots=True)
 class Leave:
     """Leaves the engine, which does not know the instruction; goes on there some time."""
 
@@ -68,7 +75,7 @@ class Leave:
     to: int | None
 
 
-End = Jump | Branch | Call | Return | Leave
+End = Jump | Branch | Call | Return | Throw | Leave
 
 
 @dataclass(slots=True)
@@ -82,7 +89,7 @@ class Run:
     @property
     def cost(self) -> int:
         """What it takes from the budget; an instruction that leaves is paid for by who does it."""
-        return len(self.work) + (isinstance(self.end, (Branch, Call, Return)) or self._jumps)
+        return len(self.work) + (isinstance(self.end, (Branch, Call, Return, Throw)) or self._jumps)
 
     @property
     def _jumps(self) -> bool:
@@ -138,7 +145,7 @@ class Graph:
                 heads.update((i.quad.a, i.after))
                 if i.quad.a <= i.pc:
                     self.points.add(i.quad.a)
-            elif name == "call" or not self._lowered(i):
+            elif name not in ("return", "rtn", "throw") and (name == "call" or not self._lowered(i)):
                 heads.add(i.after)
                 self.points.add(i.after)
         return {pc for pc in heads if pc in self.instructions}
@@ -157,6 +164,8 @@ class Graph:
                 run.end = Call(i, after)
             elif name in ("return", "rtn"):
                 run.end = Return(i)
+            elif name == "throw":
+                run.end = Throw(i)
             elif not self._lowered(i):
                 run.end = Leave(i, after if after in self.instructions else None)
             else:
@@ -177,7 +186,7 @@ class Graph:
                 ways += [yes, no]
             case Leave(_, to) if to is not None:
                 ways.append(to)
-        inside = [*run.work, *([run.end.what] if isinstance(run.end, (Call, Leave)) else [])]
+        inside = [*run.work, *([run.end.what] if isinstance(run.end, (Call, Throw, Leave)) else [])]
         for handler in self.method.handlers:
             if handler.kind in (CATCH, FINALLY) and any(handler.start <= i.pc < handler.end for i in inside):
                 ways.append(handler.target)

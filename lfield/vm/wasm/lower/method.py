@@ -28,14 +28,14 @@ from lfield.vm.memory.layout import (
     header,
 )
 from lfield.vm.reference.prepare import Prepared
-from lfield.vm.wasm.lower.graph import Branch, Call, Graph, Instruction, Jump, Leave, Return, Run
+from lfield.vm.wasm.lower.graph import Branch, Call, Graph, Instruction, Jump, Leave, Return, Run, Throw
 from lfield.vm.wasm.lower.routes import Routes, Switch, Test
 from lfield.vm.wasm.lower.shape import Go, Item, Shape
 from lfield.vm.wasm.lower.table import ROWS
 
 #: What a function says besides its result: it has returned; it stands where the reference engine must go on;
-#: its budget does not suffice for what comes next; the thread's first method has returned.
-RETURNED, STEP, SHORT, DONE = range(4)
+#: its budget does not suffice for what comes next; the thread's first method has returned; it has thrown.
+RETURNED, STEP, SHORT, DONE, THROWN = range(5)
 #: Longer things are made by the reference engine; shorter ones are made word by word up to here, in words.
 _LONGEST, _UNROLLED = 1 << 14, 12
 _BRACES = re.compile(r"\{(\w+)\}")
@@ -215,6 +215,10 @@ class Method:
             case Return(what):
                 value = f"(local.set $value {self._value(what.quad.a, self.result)})" if self.result else ""
                 return [f"(local.set $pc (i32.const {what.pc}))", value, "br $return"]
+            case Throw(what):
+                thrown = self._value(what.quad.a, "i64")
+                null = self._leave(f"(i64.eqz {thrown})", what.pc, 1)
+                return [*null, f"(global.set $word {thrown})", *self._gone(what.pc, 0, THROWN)]
             case end:
                 assert isinstance(end, Leave)
                 return list(self._gone(end.what.pc, 0, STEP))
@@ -366,8 +370,5 @@ def _address(reference: str) -> str:
 
 
 def _real(value: float) -> str:
-    """A real constant: its bits, so that NaN keeps its own."""
-    if value != value:
-        bits = struct.unpack("<q", struct.pack("<d", value))[0]
-        return f"{'-' if bits < 0 else ''}nan:0x{bits & 0xFFFFFFFFFFFFF:x}"
-    return value.hex()
+    """A real constant; there is one NaN (decision 58)."""
+    return "nan" if value != value else value.hex()
