@@ -10,6 +10,8 @@ from lfield.vm.memory.shapes import Shapes
 
 #: Writable bytes: those of a `bytearray`, or a view of somebody's memory.
 Buffer = bytearray | memoryview
+#: Where things begin, each with the low half of its header, and the places of tickets, in their order.
+Walked = tuple[Mapping[int, int], list[int]]
 
 
 class Space(Protocol):
@@ -49,10 +51,8 @@ class Space(Protocol):
         `end`, the negated number of the words needed; None where the space cannot.
         """
 
-    def walked(
-        self, data: Buffer, heap: int, top: int, shapes: Shapes
-    ) -> tuple[Mapping[int, int], list[int]] | None:
-        """Where things begin between two words, each with the low half of its header, and the tickets.
+    def walked(self, data: Buffer, heap: int, top: int, shapes: Shapes) -> Walked | None:
+        """What there is between two words.
 
         Sizes, texts, proxies and references are sound then; None where the space cannot tell
         (`lfield.vm.memory.soundness`). It is valid until the next one.
@@ -90,9 +90,7 @@ class Separate:
     ) -> tuple[list[int], int] | None:
         return None
 
-    def walked(
-        self, data: Buffer, heap: int, top: int, shapes: Shapes
-    ) -> tuple[Mapping[int, int], list[int]] | None:
+    def walked(self, data: Buffer, heap: int, top: int, shapes: Shapes) -> Walked | None:
         return None
 
 

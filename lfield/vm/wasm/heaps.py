@@ -10,7 +10,7 @@ from collections.abc import Iterator, Mapping
 
 from lfield.vm.memory.layout import HEADER_WORDS, TICKET_WORDS, Layouts
 from lfield.vm.memory.shapes import Shapes
-from lfield.vm.memory.space import Buffer
+from lfield.vm.memory.space import Buffer, Walked
 from lfield.vm.wasm.arena import PAGE, Arena, size_class
 from lfield.vm.wasm.calls import unsigned
 from lfield.vm.wasm.code import Cache, runtime_of
@@ -68,9 +68,7 @@ class Heaps(Arena):
         reached = self._copy(tables, old, new, top, end, at, count, scratch, scratch + size)
         return words[:count].tolist(), reached
 
-    def walked(
-        self, data: Buffer, heap: int, top: int, shapes: Shapes
-    ) -> tuple[Mapping[int, int], list[int]] | None:
+    def walked(self, data: Buffer, heap: int, top: int, shapes: Shapes) -> Walked | None:
         """As the Protocol says; None too when something is wrong, which the Python then finds."""
         # One bit for each word, then a word for each ticket.
         bits, tickets = top // 64 + 1, top // TICKET_WORDS
