@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 
 from lfield.vm.memory.block import Block, Full
 from lfield.vm.memory.collector import compact
 from lfield.vm.memory.copier import deep_copy
 from lfield.vm.memory.layout import Layouts
 from lfield.vm.memory.shapes import Shapes
-from lfield.vm.memory.space import Buffer, Space
+from lfield.vm.memory.space import Buffer, Space, Walked
 
 
 class TwinSpace:
@@ -64,7 +64,7 @@ class TwinSpace:
         self._same("copied", copy, target, reached)
         return found
 
-    def walked(self, data: Buffer, heap: int, top: int, shapes: Shapes) -> Mapping[int, int] | None:
+    def walked(self, data: Buffer, heap: int, top: int, shapes: Shapes) -> Walked | None:
         """As of the space that is tried."""
         return self._tried.walked(data, heap, top, shapes)
 

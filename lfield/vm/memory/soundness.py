@@ -46,6 +46,8 @@ MOST_HOPS = 1 << 48
 _MAGIC, _EARLIER_MAGIC, _OLD_MAGIC = (
     layout.MAGIC | version << 32 for version in (layout.VERSION, layout.EARLIER_VERSION, layout.OLD_VERSION)
 )
+#: The low half of no header.
+_NOTHING = 0xFF
 _WRONG = "wrong magic or version"
 _PUSH, _CALL = BY_NAME["push"].code, BY_NAME["call"].code
 #: Where coordinators leave, and where they are kept.
@@ -170,7 +172,10 @@ class Soundness:
         if block.heap == HEADER_WORDS:
             found = block.space.walked(block.data, block.heap, block.top, self.shapes)
             if found is not None:
-                return found
+                known, tickets = found
+                for place in tickets:
+                    check_ticket(self.program, block.w, known, place)
+                return known
         starts = self._walk(block, self.shapes.sizes)
         self._check_references(block, starts)
         return starts
@@ -222,7 +227,7 @@ class Soundness:
                 target = w[place + offset]
                 if not target:
                     continue
-                found = starts.get(target, 0)
+                found = starts.get(target, _NOTHING)
                 if found != expected and not shapes.is_kind(found, expected):
                     raise BlockError("a reference leads to no thing of its type", word=place + offset)
                 if expected == SENTINEL and w[target + TICKET_NUMBER]:

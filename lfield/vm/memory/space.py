@@ -10,6 +10,8 @@ from lfield.vm.memory.shapes import Shapes
 
 #: Writable bytes: those of a `bytearray`, or a view of somebody's memory.
 Buffer = bytearray | memoryview
+#: Where things begin, each with the low half of its header, and the places of tickets, in their order.
+Walked = tuple[Mapping[int, int], list[int]]
 
 
 class Space(Protocol):
@@ -49,10 +51,11 @@ class Space(Protocol):
         `end`, the negated number of the words needed; None where the space cannot.
         """
 
-    def walked(self, data: Buffer, heap: int, top: int, shapes: Shapes) -> Mapping[int, int] | None:
-        """Where things begin between two words, each with the low half of its header, if all are sound.
+    def walked(self, data: Buffer, heap: int, top: int, shapes: Shapes) -> Walked | None:
+        """What there is between two words.
 
-        None where the space cannot tell (`lfield.vm.memory.soundness`). It is valid until the next one.
+        Sizes, texts, proxies and references are sound then; None where the space cannot tell
+        (`lfield.vm.memory.soundness`). It is valid until the next one.
         """
 
 
@@ -87,7 +90,7 @@ class Separate:
     ) -> tuple[list[int], int] | None:
         return None
 
-    def walked(self, data: Buffer, heap: int, top: int, shapes: Shapes) -> Mapping[int, int] | None:
+    def walked(self, data: Buffer, heap: int, top: int, shapes: Shapes) -> Walked | None:
         return None
 
 

@@ -9,12 +9,13 @@ from functools import partial
 
 import wasmtime
 from wasmtime import _bindings as bindings
+from wasmtime._ffi import dll
 
 #: Calls a function: context, function, numbers (16 bytes each, arguments and then results), how many of them,
 #: where a trap is put; gives an error. Addresses are sooner handed over than typed pointers.
 _ENTER = ctypes.CFUNCTYPE(
     ctypes.c_void_p, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_size_t, ctypes.c_void_p
-)(ctypes.cast(bindings.dll.wasmtime_func_call_unchecked, ctypes.c_void_p).value or 0)
+)(ctypes.cast(dll.wasmtime_func_call_unchecked, ctypes.c_void_p).value or 0)
 _TRAP = ctypes.POINTER(bindings.wasm_trap_t)
 _ERROR = ctypes.POINTER(bindings.wasmtime_error_t)
 

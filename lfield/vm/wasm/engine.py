@@ -18,8 +18,8 @@ from lfield.vm.reference import Engine as Reference
 from lfield.vm.wasm.calls import quick, unsigned
 from lfield.vm.wasm.code import Cache, code_of
 from lfield.vm.wasm.heaps import Heaps
-from lfield.vm.wasm.lower.method import DONE, SHORT
 from lfield.vm.wasm.lower.driver import REGISTERS
+from lfield.vm.wasm.lower.method import DONE, SHORT
 from lfield.vm.wasm.lower.module import low_bytes
 from lfield.vm.wasm.lower.table import RUNTIME
 
@@ -36,7 +36,8 @@ class Engine:
         self._reference = Reference(program, now)
         self.space = Heaps(low_bytes(program), cache)
         code = code_of(self._reference.prepared, self.space.reservation, cache)
-        self._points = code.points
+        #: The number of each instruction where WebAssembly can take over.
+        self.points = code.points
         store = self.space.store
         runtime = self.space.functions.instance.exports(store)
         instance = wasmtime.Instance(
@@ -76,7 +77,7 @@ class Engine:
         readings: Sequence[Reading | None] = (),
     ) -> Exit:
         """As `lfield.vm.reference.Engine.run`."""
-        reference, points, w = self._reference, self._points, block.w
+        reference, points, w = self._reference, self.points, block.w
         self._left, self._asked = budget, False
         base = self.space.base(block.data)
         while self._left > 0:

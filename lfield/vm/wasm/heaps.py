@@ -8,9 +8,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 
-from lfield.vm.memory.layout import HEADER_WORDS, Layouts
+from lfield.vm.memory.layout import HEADER_WORDS, TICKET_WORDS, Layouts
 from lfield.vm.memory.shapes import Shapes
-from lfield.vm.memory.space import Buffer
+from lfield.vm.memory.space import Buffer, Walked
 from lfield.vm.wasm.arena import PAGE, Arena, size_class
 from lfield.vm.wasm.calls import unsigned
 from lfield.vm.wasm.code import Cache, runtime_of
@@ -68,14 +68,19 @@ class Heaps(Arena):
         reached = self._copy(tables, old, new, top, end, at, count, scratch, scratch + size)
         return words[:count].tolist(), reached
 
-    def walked(self, data: Buffer, heap: int, top: int, shapes: Shapes) -> Mapping[int, int] | None:
+    def walked(self, data: Buffer, heap: int, top: int, shapes: Shapes) -> Walked | None:
         """As the Protocol says; None too when something is wrong, which the Python then finds."""
-        block, tables, bits = self.base(data), self._laid(shapes), self._room_for(top + 7 >> 3)
-        if block < 0 or tables < 0 or bits < 0:
+        # One bit for each word, then a word for each ticket.
+        bits, tickets = top // 64 + 1, top // TICKET_WORDS
+        block, tables, scratch = self.base(data), self._laid(shapes), self._room_for(8 * (bits + tickets))
+        if block < 0 or tables < 0 or scratch < 0:
             return None
-        if not unsigned(self._sound(tables, block, heap, top, bits)):
+        count = unsigned(self._sound(tables, block, heap, top, scratch, scratch + 8 * bits))
+        if count > tickets:
             return None
-        return Starts(self._scratch_view, memoryview(data).cast("q"), top)
+        starts = Starts(self._scratch_view, memoryview(data).cast("q"), top)
+        places = self._scratch_view[8 * bits : 8 * (bits + count)].cast("q").tolist() if count else []
+        return starts, places
 
     def _laid(self, what: Layouts | Shapes) -> int:
         """The address of the tables of a program; -1 when there is no room for them."""

@@ -8,11 +8,13 @@ from collections.abc import Callable
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from msgspec.structs import replace
 
 pytest.importorskip("wasmtime", reason="the engine in WebAssembly needs wasmtime: pip install lfield[wasm]")
 
 from random_heaps import LIMIT, MEMBERS, RandomHeap, heaps
 
+from lfield.bytecode.program import NULL, OBJECT, Program, TypeRecord
 from lfield.clock import ManualClock
 from lfield.errors import BlockError
 from lfield.testing.golden import Desk, compile_text, settle
@@ -45,35 +47,42 @@ TRAVELLER = compile_text(
         }
         private void work(Post p, Note n) { p.leave(n); }
     }
+    coordinator Chief {
+        init(string[] arg) {
+            Post[] all = findPost();
+            together { all[1].leave(new Note(1, null)); all[1].leave(null); all[0].leave(null); }
+        }
+    }
     """
 )
 TEAM = [
     Member(0, "here", "Post", "resource", 0),
     Member(1, "there", "Post", "resource", 1),
     Member(2, "boss", "Boss", "coordinator", 0),
+    Member(3, "chief", "Chief", "coordinator", 0),
 ]
 
 
-def packed() -> bytes:
-    """The image of a coordinator that is about to travel."""
+def packed() -> list[bytes]:
+    """The images of coordinators that are about to travel, one with calls of a `together`."""
     desk, clock = Desk(), ManualClock()
     machine = desk.machine = Machine(TRAVELLER, TEAM, 0, 1, desk, clock, random.Random(1))
-    for member in (TEAM[0], TEAM[2]):
+    for member in (TEAM[0], *TEAM[2:]):
         machine.start(member, Limits(), generation=1)
     settle(machine, clock)
-    (agent, _), *_ = desk.departures
-    return bytes(machine.pack(agent))
+    return [bytes(machine.pack(agent)) for agent, _ in desk.departures]
 
 
-IMAGE = packed()
+IMAGES = packed()
+IMAGE = max(IMAGES, key=len)
 
 
-def checkers(program: object, members: tuple[str, ...]) -> list[Soundness]:
+def checkers(program: Program, members: tuple[str, ...]) -> list[Soundness]:
     layouts = Layouts(program)
     return [Soundness(program, layouts, members, space) for space in (SEPARATE, heaps())]
 
 
-CHECKERS = checkers(TRAVELLER, ("Post", "Post", "Boss"))
+CHECKERS = checkers(TRAVELLER, tuple(member.type for member in TEAM))
 
 
 def told(check: Callable[[], object]) -> str:
@@ -110,21 +119,50 @@ def damaged(image: bytes, dice: random.Random) -> bytes:
     return bytes(data)
 
 
-def test_a_coordinator_that_travels_is_sound_and_python_is_not_asked(monkeypatch: pytest.MonkeyPatch) -> None:
-    blocks = [checker.check(IMAGE, LIMIT) for checker in CHECKERS]
+@pytest.mark.parametrize("image", IMAGES)
+def test_who_travels_is_sound_and_python_is_not_asked(image: bytes, monkeypatch: pytest.MonkeyPatch) -> None:
+    blocks = [checker.check(image, LIMIT) for checker in CHECKERS]
     assert len({bytes(block.image()) for block in blocks}) == 1
     assert len({block.end for block in blocks}) == 1
     assert heaps().base(blocks[1].data) >= 0
     for name in ("_walk", "_check_references"):
         monkeypatch.delattr(Soundness, name)
-    assert CHECKERS[1].check(IMAGE, LIMIT).top == blocks[0].top
+    assert CHECKERS[1].check(image, LIMIT).top == blocks[0].top
 
 
-@given(seeds)
-def test_a_damaged_coordinator_is_told_in_the_same_words(seed: int) -> None:
-    image = damaged(IMAGE, random.Random(seed))
+def test_one_of_them_has_tickets() -> None:
+    counts = []
+    for image in IMAGES:
+        block = CHECKERS[1].check(image, LIMIT)
+        walked = heaps().walked(block.data, block.heap, block.top, CHECKERS[1].shapes)
+        assert walked is not None
+        counts.append(len(walked[1]))
+    # Three calls, and what holds them.
+    assert sorted(counts) == [0, 4]
+
+
+@given(st.sampled_from(IMAGES), seeds)
+def test_a_damaged_coordinator_is_told_in_the_same_words(sound: bytes, seed: int) -> None:
+    image = damaged(sound, random.Random(seed))
     first, second = (told(lambda c=checker: c.check(image, LIMIT)) for checker in CHECKERS)
     assert first == second
+
+
+def test_a_slot_that_holds_only_null_leads_nowhere_else_either() -> None:
+    core, block = TRAVELLER.core, CHECKERS[0].check(IMAGE, LIMIT)
+    frame = block.w[block.w[layout.W_THREADS] + layout.THREAD_FRAME]
+    index = block.w[frame] >> 8 & 0xFFFFFF
+    method = core.methods[index]
+    note = TRAVELLER.class_index["Note"]
+    slot = next(i for i, t in enumerate(method.slots) if core.types[t] == TypeRecord(OBJECT, note))
+    slots = (*method.slots[:slot], NULL, *method.slots[slot + 1 :])
+    methods = list(core.methods)
+    methods[index] = replace(method, slots=slots)
+    program = Program(replace(core, methods=tuple(methods)), TRAVELLER.debug, TRAVELLER.digest)
+    block.w[frame + layout.FRAME_SLOTS + slot] = frame + 1
+    for checker in checkers(program, tuple(member.type for member in TEAM)):
+        with pytest.raises(BlockError, match="a reference leads to no thing of its type"):
+            checker.check(block.image(), LIMIT)
 
 
 def test_most_damages_are_found() -> None:
@@ -142,14 +180,15 @@ OF_THINGS = (
     "a string is no",
     "a proxy leads",
     "a reference leads",
-    "ticket",
-    "together",
+    "a together is held",
 )
+#: What is said of headers, before things are looked at.
+OF_HEADERS = ("magic", "another program", "its size", "heartbeat", "its clock")
 
 
 @given(seeds, st.booleans())
 def test_random_heaps_sound_or_not(seed: int, tickets: bool) -> None:
-    """Where all things are sound and no ticket is among them, Python is not even asked."""
+    """Where all things are sound, Python is not even asked for them; tickets it looks through."""
     heap = RandomHeap(seed, tickets=tickets)
     dice = random.Random(seed)
     image = bytes(heap.block.image())
@@ -164,15 +203,20 @@ def test_random_heaps_sound_or_not(seed: int, tickets: bool) -> None:
     data[:] = image
     w = memoryview(data).cast("q")
     top, heap_at = len(w), layout.HEADER_WORDS
-    starts = space.walked(data, heap_at, top, heap.shapes)
-    if starts is None:
+    walked = space.walked(data, heap_at, top, heap.shapes)
+    if any(what in first for what in OF_THINGS):
+        assert walked is None
+    elif not any(what in first for what in OF_HEADERS):
+        assert walked is not None
+    if walked is None:
         return
-    assert not any(what in first for what in OF_THINGS)
+    starts, tickets = walked
     place, found = heap_at, {}
     while place < top:
         found[place] = w[place] & 0xFFFFFFFF
         place += w[place] >> 32
     assert dict(starts) == found
+    assert tickets == [place for place, half in found.items() if half & 0xFF == layout.TICKET]
 
 
 @given(st.binary(max_size=24), st.integers(-1, 30), st.integers(0, 4))

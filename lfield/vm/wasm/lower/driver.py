@@ -101,25 +101,20 @@ def driver(deepest: int, tables: Tables, *, catches: bool) -> str:
   (i64.store (i32.const {AT["left"]}) (global.get $left))
   (i64.store (i32.const {AT["word"]}) (global.get $word))
   (local.get $status))
-{_caught(tables) if catches else ""}
+{_caught(tables) + _unwind(tables) if catches else ""}
 """
 
 
 def _caught(tables: Tables) -> str:
-    """Finds who catches the object $word thrown at $pc in $frame, and unwinds; 0, and nothing done, if nobody.
+    """Finds who catches $word, thrown at $pc in $frame, and goes there; 0, and nothing done, if nobody does.
 
     As `lfield.vm.reference.unwind` without time limits; a `finally` in the way is left to that too.
     """
-    method = f"""(i32.add (i32.const {tables.methods})
-        (i32.mul (i32.shr_u (i32.load (local.get $frame)) (i32.const 8)) (i32.const {METHOD})))"""
-    outwards = f"""
-    (local.set $pc (i32.sub (i32.load offset={8 * FRAME_RETURN} (local.get $frame)) (i32.const 1)))
-    (local.set $frame (i32.shl (i32.load offset={8 * FRAME_CALLER} (local.get $frame)) (i32.const 3)))"""
     return f"""
 (func $caught (result i32)
   (local $frame i32) (local $pc i32) (local $row i32) (local $last i32) (local $class i32) (local $takes i32)
-  (local $found i32)
-  (local.set $row (i32.load (i32.add (global.get $base) (i32.shl (i32.wrap_i64 (global.get $word)) (i32.const 3)))))
+  (local.set $row (i32.load
+    (i32.add (global.get $base) (i32.shl (i32.wrap_i64 (global.get $word)) (i32.const 3)))))
   (if (i32.eq (i32.and (local.get $row) (i32.const 255)) (i32.const {OBJECT}))
     (then (local.set $class (i32.shr_u (local.get $row) (i32.const 8)))))
   (local.set $class (i32.add (i32.const {tables.takes})
@@ -128,8 +123,8 @@ def _caught(tables: Tables) -> str:
   (local.set $pc (global.get $pc))
   block $catch
   loop $frames
-    (local.set $row (i32.load {method}))
-    (local.set $last (i32.load offset=4 {method}))
+    (local.set $row (i32.load {_method(tables)}))
+    (local.set $last (i32.load offset=4 {_method(tables)}))
     block $none
     loop $rows
       (br_if $none (i32.eq (local.get $row) (local.get $last)))
@@ -143,32 +138,50 @@ def _caught(tables: Tables) -> str:
       br $rows
     end
     end
-    {outwards}
+    {_OUTWARDS}
     (if (i32.eqz (local.get $frame)) (then (return (i32.const 0))))
     (local.set $frame (i32.add (global.get $base) (local.get $frame)))
     br $frames
   end
   end
   (if (i32.eqz (i32.load offset=12 (local.get $row))) (then (return (i32.const 0))))
-  (local.set $found (local.get $frame))
+  (call $unwind (local.get $frame))
+  (i64.store (i32.add (local.get $frame) (i32.load offset=16 (local.get $row))) (global.get $word))
+  (global.set $frame (local.get $frame))
+  (global.set $point (i32.load offset=12 (local.get $row)))
+  (i32.const 1))"""
+
+
+def _unwind(tables: Tables) -> str:
+    """Leaves all frames from $frame down to another one, giving back the monitors they hold."""
+    return f"""
+(func $unwind (param $to i32) (local $frame i32) (local $pc i32) (local $method i32)
   (local.set $frame (global.get $frame))
   (local.set $pc (global.get $pc))
   block $left
-  loop $unwind
-    (br_if $left (i32.eq (local.get $frame) (local.get $found)))
-    (local.set $last {method})
-    (if (i32.and (i32.load offset=12 (local.get $last))
-                 (i32.ne (i32.load offset=8 (local.get $last)) (local.get $pc))) (then
+  loop $on
+    (br_if $left (i32.eq (local.get $frame) (local.get $to)))
+    (local.set $method {_method(tables)})
+    (if (i32.and (i32.load offset=12 (local.get $method))
+                 (i32.ne (i32.load offset=8 (local.get $method)) (local.get $pc))) (then
       (i64.store offset={8 * W_ENTRIES} (global.get $base)
         (i64.sub (i64.load offset={8 * W_ENTRIES} (global.get $base)) (i64.const 1)))
       (if (i64.eqz (i64.load offset={8 * W_ENTRIES} (global.get $base)))
         (then (i64.store offset={8 * W_OWNER} (global.get $base) (i64.const 0))))))
-    {outwards}
+    {_OUTWARDS}
     (local.set $frame (i32.add (global.get $base) (local.get $frame)))
-    br $unwind
+    br $on
   end
-  end
-  (i64.store (i32.add (local.get $found) (i32.load offset=16 (local.get $row))) (global.get $word))
-  (global.set $frame (local.get $found))
-  (global.set $point (i32.load offset=12 (local.get $row)))
-  (i32.const 1))"""
+  end)"""
+
+
+def _method(tables: Tables) -> str:
+    """The address of the record of a frame's method."""
+    number = "(i32.shr_u (i32.load (local.get $frame)) (i32.const 8))"
+    return f"(i32.add (i32.const {tables.methods}) (i32.mul {number} (i32.const {METHOD})))"
+
+
+#: To the caller of a frame, at its call; the frame is a place of the block then, 0 for none.
+_OUTWARDS = f"""
+    (local.set $pc (i32.sub (i32.load offset={8 * FRAME_RETURN} (local.get $frame)) (i32.const 1)))
+    (local.set $frame (i32.shl (i32.load offset={8 * FRAME_CALLER} (local.get $frame)) (i32.const 3)))"""

@@ -1,8 +1,8 @@
 """What the driver looks up: what is behind each call, and who catches what. Laid into the memory's beginning.
 
-    RETURNS   by instruction behind a call: its point (0: none), where in the frame the result goes (0: none)
-    METHODS   by method: address of its rows of handlers, their end, its entry, whether it is synchronized
-    ROWS      a handler: start, end, what it takes, the point of its target, where in the frame the object goes
+    RETURNS   by instruction behind a call: its point (0: none), where in the frame a result goes (0: none)
+    METHODS   by method: where its rows of handlers begin and end, its entry, whether it is synchronized
+    ROWS      by handler: start, end, what it takes, the point of its target, where in the frame that goes
     TAKES     by class and column: whether an object of the class is taken
 
 All are 32-bit numbers, the last one bytes. What a handler takes is a column, FINALLY for one that the

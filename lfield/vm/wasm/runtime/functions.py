@@ -33,4 +33,4 @@ class Functions:
         self.instance = wasmtime.Instance(store, code, [memory])
         self.collect = quick(store, self.instance, "collect", 4)
         self.deep_copy = quick(store, self.instance, "deep_copy", 9)
-        self.sound = quick(store, self.instance, "sound", 5)
+        self.sound = quick(store, self.instance, "sound", 6)

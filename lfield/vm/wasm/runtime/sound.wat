@@ -1,42 +1,50 @@
 ;; Whether the heap of a block is sound, as lfield/vm/memory/soundness.py tells it in Python: the same verdict,
-;; or none. 1: every size, text, proxy and reference is as it must be; 0: it is not sure, and Python says.
-;; Tickets are rare and are left to Python.
+;; or none. -1: it is not sure, and Python says; else every size, text, proxy and reference is as it must be, and
+;; so many tickets are on the heap. What else a ticket must be, Python knows.
 ;;
-;; $tables  address of the tables: the records of words.wat (first number: the size a thing must have, 0 any,
-;;          -1 no such thing; second: what all elements of an array of references lead to), then eight numbers
-;;          of records by kind, then the addresses of three more: members, classes and what they are kinds of
-;; $block   address of the block; $heap and $top in words
-;; $starts  address of one bit for every word of the block: becomes 1 where a thing begins
+;; $tables   address of the tables: the records of words.wat (first number: the size a thing must have, 0 any,
+;;           -1 no such thing; second: what all elements of an array of references lead to), then eight numbers
+;;           of records by kind, then two pairs: members and the address of their classes, classes and the
+;;           address of what they are kinds of
+;; $block    address of the block; $heap and $top in words
+;; $starts   address of one bit for every word of the block: becomes 1 where a thing begins
+;; $tickets  address of 64 bits for every ticket there may be: become their places
 
 (func (export "sound")
     (param $tables i32) (param $block i32) (param $heap i64) (param $top i64) (param $starts i32)
+    (param $tickets i32)
     (result i32)
+    (local $count i32)
     (memory.fill (local.get $starts) (i32.const 0)
         (i32.wrap_i64 (i64.shr_u (i64.add (local.get $top) (i64.const 7)) (i64.const 3))))
-    (if (i32.eqz
-            (call $things (local.get $tables) (local.get $block) (local.get $heap) (local.get $top)
-                (local.get $starts)))
-        (then (return (i32.const 0))))
-    (call $references (local.get $tables) (local.get $block) (local.get $heap) (local.get $top)
-        (local.get $starts)))
+    (local.set $count
+        (call $things (local.get $tables) (local.get $block) (local.get $heap) (local.get $top)
+            (local.get $starts) (local.get $tickets)))
+    (if (i32.ge_s (local.get $count) (i32.const 0))
+        (then
+            (if (call $references (local.get $tables) (local.get $block) (local.get $heap)
+                    (local.get $top) (local.get $starts))
+                (then (return (local.get $count))))))
+    (i32.const -1))
 
-;; Whether the things on the heap follow one another up to the top, each what its header says.
+;; How many tickets are among the things on the heap, which follow one another up to the top, each what its
+;; header says; -1 if they do not.
 (func $things
     (param $tables i32) (param $block i32) (param $place i64) (param $top i64) (param $starts i32)
+    (param $tickets i32)
     (result i32)
-    (local $at i32) (local $head i64) (local $half i32) (local $kind i32) (local $words i64) (local $size i32)
+    (local $count i32) (local $at i32) (local $head i64) (local $half i32) (local $kind i32) (local $words i64) (local $size i32)
     (local $bit i32)
     (block $unsure
         (loop $next
             (if (i64.ge_u (local.get $place) (local.get $top))
-                (then (return (i64.eq (local.get $place) (local.get $top)))))
+                (then (return (local.get $count))))
             (local.set $at (call $at (local.get $block) (local.get $place)))
             (local.set $head (i64.load (local.get $at)))
             (local.set $half (i32.wrap_i64 (local.get $head)))
             (local.set $kind (i32.and (local.get $half) (i32.const 255)))
             (local.set $words (i64.shr_s (local.get $head) (i64.const 32)))
-            ;; Of tickets Python is asked, and of what has no record.
-            (br_if $unsure (i32.ge_u (local.get $kind) (i32.const 7)))
+            (br_if $unsure (i32.gt_u (local.get $kind) (i32.const 7)))
             (br_if $unsure
                 (i32.ge_u
                     (i32.shr_u (local.get $half) (i32.const 8))
@@ -61,6 +69,11 @@
                         (i32.eqz
                             (call $is_proxy (local.get $tables) (local.get $at)
                                 (i32.shr_u (local.get $half) (i32.const 8)))))))
+            (if (i32.eq (local.get $kind) (i32.const 7))
+                (then
+                    (i64.store (local.get $tickets) (local.get $place))
+                    (local.set $tickets (i32.add (local.get $tickets) (i32.const 8)))
+                    (local.set $count (i32.add (local.get $count) (i32.const 1)))))
             (local.set $bit
                 (i32.add (local.get $starts) (i32.wrap_i64 (i64.shr_u (local.get $place) (i64.const 3)))))
             (i32.store8 (local.get $bit)
@@ -71,7 +84,7 @@
                         (i32.and (i32.wrap_i64 (local.get $place)) (i32.const 7)))))
             (local.set $place (i64.add (local.get $place) (local.get $words)))
             (br $next)))
-    (i32.const 0))
+    (i32.const -1))
 
 ;; Whether every reference leads to the beginning of a thing of its type.
 (func $references
@@ -123,16 +136,35 @@
                                 (i32.and (i32.wrap_i64 (local.get $target)) (i32.const 7)))
                             (i32.const 1))))
                 (local.set $found (i32.load (call $at (local.get $block) (local.get $target))))
+                ;; What holds a `together` is a ticket without a number.
+                (if (i32.eq (local.get $expected) (i32.const -6))
+                    (then
+                        (br_if $unsure (i32.ne (local.get $found) (i32.const 7)))
+                        (br_if $unsure
+                            (i64.ne
+                                (i64.load offset=64 (call $at (local.get $block) (local.get $target)))
+                                (i64.const 0)))
+                        (br $reference)))
                 (br_if $reference (i32.eq (local.get $found) (local.get $expected)))
                 (br_if $reference
                     (call $is_kind (local.get $tables) (local.get $found) (local.get $expected)))
                 (br $unsure))))
     (i32.const 0))
 
-;; Whether what was found is an object of a class that is a kind of the one expected; -1 expects any object.
+;; Whether what was found is of the kind expected (-1: any object, -2: proxy, -3: frame, -4: array, -5: ticket),
+;; or an object of a class that is a kind of the one expected.
 (func $is_kind (param $tables i32) (param $found i32) (param $expected i32) (result i32)
-    (local $bit i32)
-    (if (i32.ne (i32.and (local.get $found) (i32.const 255)) (i32.const 1))
+    (local $kind i32) (local $bit i32)
+    (local.set $kind (i32.and (local.get $found) (i32.const 255)))
+    (if (i32.eq (local.get $expected) (i32.const -2))
+        (then (return (i32.eq (local.get $kind) (i32.const 4)))))
+    (if (i32.eq (local.get $expected) (i32.const -3))
+        (then (return (i32.eq (local.get $kind) (i32.const 5)))))
+    (if (i32.eq (local.get $expected) (i32.const -4))
+        (then (return (i32.eq (local.get $kind) (i32.const 2)))))
+    (if (i32.eq (local.get $expected) (i32.const -5))
+        (then (return (i32.eq (local.get $kind) (i32.const 7)))))
+    (if (i32.ne (local.get $kind) (i32.const 1))
         (then (return (i32.const 0))))
     (if (i32.eq (local.get $expected) (i32.const -1)) (then (return (i32.const 1))))
     (if (i32.ne (i32.and (local.get $expected) (i32.const 255)) (i32.const 1))
