@@ -15,7 +15,14 @@ from lfield.testing.fuzz.tree import PLAIN, Piece, written
 
 #: The variables of every method: type, name, and what it is at first.
 _LOCALS = (
-    *(("int", "i0", "3"), ("int", "i1", "n"), ("int", "i2", "0"), ("real", "r0", "x"), ("real", "r1", "1.5")),
+    *(
+        ("int", "i0", "3"),
+        ("int", "i1", "n"),
+        ("int", "i2", "0"),
+        ("int", "i3", "9223372036854775800"),
+        ("real", "r0", "x"),
+        ("real", "r1", "1.5"),
+    ),
     *(
         ("boolean", "b0", "true"),
         ("boolean", "b1", "n > 2"),
@@ -64,6 +71,8 @@ def _declared(body: list[Piece]) -> list[Piece]:
     return found
 
 
+#: What coordinators ask, by how many portals there are.
+_ASKED = ["i0 = st.ask(#, #);|int Node", "st.tell(#, #, #);|real string int[]"]
 #: What methods give.
 _KINDS = ("int", "int", "real", "boolean", "string", "Node", "int[]")
 
@@ -114,12 +123,11 @@ class _Maker:
         """A method's own: the variables that it uses, statements, and an end."""
         waits = ["yield();|", "print(#);|int", "sleep(0.25);|", "r1 = random();|", "i2 = random(5);|"]
         if unit == "Walker":
-            waits += ["i0 = st.ask(#, #);|int Node", "st.tell(#, #, #);|real string int[]"][
-                : self.portals
-            ] * 6
+            waits += _ASKED[: self.portals] * 6
         calls = self._calls(unit)
         expressions = Expressions(self.dice, _VARIABLES, calls)
-        statements = Statements(self.dice, expressions, _VARIABLES, result, tuple(waits))
+        limits = unit == "Walker"
+        statements = Statements(self.dice, expressions, _VARIABLES, result, tuple(waits), limits)
         body = statements.block(self.depth, self.size + guarded)
         if unit == "Walker":
             body += [statements.wait() for _ in range(2)]
