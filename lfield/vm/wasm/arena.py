@@ -6,6 +6,7 @@ A region is freed when nobody has a view of it any more, so an image that is sti
 from __future__ import annotations
 
 import ctypes
+import mmap
 import resource
 from functools import cache
 from typing import Any
@@ -22,6 +23,10 @@ WHOLE = 1 << 32
 RESERVATIONS = (WHOLE, 1 << 30, 1 << 28, 1 << 26, 1 << 24)
 #: Regions have one of four sizes between two powers of two; this is the smallest.
 _SMALLEST = 512
+#: Freed regions of so many bytes keep no memory: it costs a fault for each page to have it again.
+_LARGE = 4 << 20
+_advise = ctypes.CDLL(None, use_errno=True).madvise
+_advise.argtypes = (ctypes.c_void_p, ctypes.c_size_t, ctypes.c_int)
 #: A memory grows by so many pages at least: growing costs a call of the system, untouched pages cost nothing.
 _STEP = 16
 
@@ -89,7 +94,11 @@ class Arena:
         return free.pop() if free else self._fresh(capacity)
 
     def free(self, base: int, capacity: int) -> None:
-        """Nobody has a view of a region any more."""
+        """Nobody has a view of a region any more; the system has the memory of a large one back."""
+        if capacity >= _LARGE:
+            start = self.address + base
+            first, last = start + -start % mmap.PAGESIZE, (start + capacity) // mmap.PAGESIZE * mmap.PAGESIZE
+            _advise(first, last - first, mmap.MADV_DONTNEED)
         self._free.setdefault(capacity, []).append(base)
 
     def _fresh(self, capacity: int) -> int:
