@@ -50,7 +50,7 @@ class Statements:
         """One statement."""
         draw = self.expressions.draw
         flat = ("assign",) * 8 + ("element",) * 3 + ("call", "throw", "leave", "wait", "print")
-        deep = ("if", "if", "loop", "loop", "try", "try", "finally") if depth > 0 else ()
+        deep: tuple[str, ...] = ("if", "if", "loop", "loop", "try", "try", "finally") if depth > 0 else ()
         deep += ("within",) if depth > 0 and self._limits else ()
         match self.dice.choice(flat + deep * 2):
             case "assign":
