@@ -232,11 +232,6 @@ def _real(value: Value) -> float:
     return float(value)
 
 
-def _square(value: float) -> float:
-    """The same on every computer and never an error, which C's power is not."""
-    return value * value
-
-
 def _distance(one: str, other: str) -> Judge:
     axes = [(f"{one}.{axis}", f"{other}.{axis}") for axis in POSITION]
 
@@ -246,7 +241,7 @@ def _distance(one: str, other: str) -> Judge:
             first, second = facts.get(here), facts.get(there)
             if first is None or second is None:
                 return None
-            squares += _square(_real(first) - _real(second))
+            squares += (_real(first) - _real(second)) ** 2
         return math.sqrt(squares)
 
     return judge
@@ -261,7 +256,7 @@ def _distance_to(place: list[Judge]) -> Judge:
             is_at, wanted = facts.get(axis), asked(facts)
             if is_at is None or wanted is None:
                 return None
-            squares += _square(_real(is_at) - _real(wanted))
+            squares += (_real(is_at) - _real(wanted)) ** 2
         return math.sqrt(squares)
 
     return judge
@@ -275,7 +270,7 @@ def distance_to(facts: Facts, place: Place) -> float | None:
     north, east, down = (facts.get(axis) for axis in POSITION)
     if north is None or east is None:
         return None
-    squares = _square(_real(north) - place[0]) + _square(_real(east) - place[1])
+    squares = (_real(north) - place[0]) ** 2 + (_real(east) - place[1]) ** 2
     if down is not None and place[2] is not None:
-        squares += _square(_real(down) - place[2])
+        squares += (_real(down) - place[2]) ** 2
     return math.sqrt(squares)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -11,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from small_registry import over_parts, wish
 
-from lfield.capability.matching.evaluate import conjuncts, distance_to, evaluator, names
+from lfield.capability.matching.evaluate import conjuncts, evaluator, names
 from lfield.capability.matching.reasons import reasons
 from lfield.capability.model import Value
 
@@ -55,11 +54,6 @@ FACTS: Mapping[str, Value] = {
 )
 def test_a_condition_is_true_false_or_unknown(text: str, value: bool | None) -> None:
     assert evaluator(wish(text))(FACTS) is value
-
-
-def test_a_place_beyond_all_numbers_is_infinitely_far() -> None:
-    assert distance_to({"north": 1e200, "east": 0.0, "down": -1e300}, (0.0, 1e199, 0.0)) == math.inf
-    assert distance_to({"north": 3.0, "east": 4.0}, (0.0, 0.0, None)) == 5.0
 
 
 @pytest.mark.parametrize(
