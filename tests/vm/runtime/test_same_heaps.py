@@ -14,6 +14,8 @@ from lfield.vm.memory import layout
 from lfield.vm.memory.block import Block, Full
 from lfield.vm.memory.collector import collect, compact
 from lfield.vm.memory.copier import deep_copy
+from lfield.vm.wasm.arena import PAGE
+from lfield.vm.wasm.heaps import Heaps
 
 seeds = st.integers(0, 1 << 32)
 versions = st.sampled_from(sorted(layout.HEADERS))
@@ -108,3 +110,23 @@ def test_one_large_array_is_moved_too() -> None:
     collect(heap.block, heap.layouts)
     collect(there, heap.layouts)
     same(heap.block, there)
+
+
+def test_where_the_arena_is_full_python_does_it_to_the_same_bytes(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Some blocks lie in the arena, some do not, and there may be no room for what the copier needs."""
+    monkeypatch.setattr("lfield.vm.wasm.arena.RESERVATIONS", (1 << 24,))
+    done_here = set()
+    for left in (0, 1 << 14, 1 << 17, 1 << 18, 1 << 20):
+        space = Heaps()
+        assert space.take((1 << 24) - PAGE - (1 << 12) - left) > 0
+        for seed in range(20):
+            heap = RandomHeap(seed)
+            there, target = twin(heap.block, space), Block.empty(heap.program.digest, LIMIT, space)
+            here = Block.empty(heap.program.digest, LIMIT)
+            for block in (heap.block, there, here, target):
+                collect(block, heap.layouts, 4096)
+            roots = [heap.block.w[word] for word in layout.ROOTS]
+            done_here.add(space.base(there.data) >= 0)
+            copied(heap, roots, (heap.block, here), (there, target))
+            same(heap.block, there)
+    assert done_here == {True, False}
