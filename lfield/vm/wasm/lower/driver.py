@@ -18,23 +18,14 @@ from lfield.vm.memory.layout import (
 from lfield.vm.wasm.lower.method import RETURNED, STEP, THROWN
 from lfield.vm.wasm.lower.tables import ANYTHING, METHOD, RETURN, ROW, Tables
 
-#: Words at the beginning of the memory. Addresses: of the block, its top, its end, the thread's frame. The
-#: point to resume at; the budget that is left; the depth of calls, the thread, the lengths of arrays and of
-#: texts that are allowed. The instruction where a run has ended, and the word it has given.
-REGISTERS = (
-    "base",
-    "top",
-    "end",
-    "frame",
-    "point",
-    "left",
-    "depth",
-    "thread",
-    "longest",
-    "text",
-    "pc",
-    "word",
-)
+#: Words at the beginning of the memory. The address of the block and of its end; the point to resume at; the
+#: depth of calls, the lengths of arrays and of texts that are allowed; the thread.
+GIVEN = ("base", "end", "point", "depth", "longest", "text", "thread")
+#: Given and told again: the address of the heap's top and of the frame, and the budget that is left.
+KEPT = ("top", "frame", "left")
+#: The instruction where a run has ended, and the word it has given.
+TOLD = ("pc", "word")
+REGISTERS = (*GIVEN, *KEPT, *TOLD)
 AT = {name: 8 * i for i, name in enumerate(REGISTERS)}
 #: The globals of a module, by type.
 GLOBALS = {
