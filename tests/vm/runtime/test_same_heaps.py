@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import random
+from contextlib import suppress
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 pytest.importorskip("wasmtime", reason="the engine in WebAssembly needs wasmtime: pip install lfield[wasm]")
 
+import wasmtime
 from random_heaps import LIMIT, RandomHeap, heaps, twin
 
 from lfield.vm.memory import layout
@@ -84,6 +88,37 @@ def copied(heap: RandomHeap, roots: list[int], *pairs: tuple[Block, Block]) -> N
         assert bytes(source.data[8 * layout.W_TOP + 8 : len(before[0])]) == before[0][8 * layout.W_TOP + 8 :]
     assert outcomes[0] == outcomes[1]
     same(pairs[0][1], pairs[1][1])
+
+
+@given(seeds)
+def test_a_heap_that_is_damaged_harms_no_other(seed: int) -> None:
+    """It never comes to that, as arrivals are checked; but no bug of ours may reach another agent's block."""
+    heap, space = RandomHeap(seed), heaps()
+    others = [space.room(len(heap.block.data)) for _ in range(4)]
+    there, target = twin(heap.block, space), Block.empty(heap.program.digest, LIMIT, space)
+    others += [space.room(len(heap.block.data)) for _ in range(4)]
+    for other in others:
+        other[:] = b"\x5a" * len(other)
+    dice = random.Random(seed)
+    for _ in range(dice.choice([1, 3, 20])):
+        at = dice.randrange(layout.W_SELF, there.top)
+        there.w[at] = dice.choice(
+            [
+                dice.randrange(2 * there.top),
+                dice.getrandbits(64) - (1 << 63),
+                there.w[at] ^ 1 << dice.randrange(62),
+            ]
+        )
+    with suppress(wasmtime.Trap, Full):
+        deep_copy(there, heap.roots(), target, heap.layouts)
+    with suppress(wasmtime.Trap):
+        collect(there, heap.layouts)
+    assert all(bytes(other) == b"\x5a" * len(other) for other in others)
+    # Nor does it harm what all of them need.
+    sound = twin(heap.block, space)
+    collect(sound, heap.layouts)
+    collect(heap.block, heap.layouts)
+    same(heap.block, sound)
 
 
 def test_a_copy_of_many_roots_is_left_to_python() -> None:
