@@ -66,7 +66,12 @@ class Arena:
         capacity = size_class(size)
         base = self.take(capacity)
         if base < 0:
-            return SEPARATE.room(size)
+            # There is nothing new: what was larger will do.
+            larger = [known for known in list(self._free) if known > capacity and self._free[known]]
+            capacity = min(larger, default=0)
+            if not capacity:
+                return SEPARATE.room(size)
+            base = self.take(capacity)
         region = _region(capacity).from_address(self.address + base)
         region.arena, region.base = self, base
         return memoryview(region).cast("B")[:size]
