@@ -19,7 +19,19 @@ from lfield.vm.agent import Agent, Member
 from lfield.vm.asking.questions import Questions
 from lfield.vm.begun import Begun
 from lfield.vm.cancelling import CANCELLED, Cancelling
-from lfield.vm.contract import Blocked, Done, Exit, Limits, NoRoom, Outside, Reading, Spent, Thrown, Trap
+from lfield.vm.contract import (
+    Blocked,
+    Done,
+    Engines,
+    Exit,
+    Limits,
+    NoRoom,
+    Outside,
+    Reading,
+    Spent,
+    Thrown,
+    Trap,
+)
 from lfield.vm.limits import TimeLimits
 from lfield.vm.memory import layout
 from lfield.vm.memory.block import Block, Full
@@ -30,6 +42,7 @@ from lfield.vm.memory.soundness import Soundness
 from lfield.vm.memory.threads import place_of
 from lfield.vm.memory.values import word_for
 from lfield.vm.outside import Outsiders
+from lfield.vm.reference import Engine
 from lfield.vm.reserve.heads import Reserving
 from lfield.vm.reserve.held import Held
 from lfield.vm.scheduler import Scheduler
@@ -40,7 +53,7 @@ from lfield.vm.world import World
 
 #: Instructions a thread may run before the next one's turn.
 SLICE = 2000
-#: Slices one call of `run` gives before it lets the host look at the world.
+#: Slices one call of `run` gives before it lets the host look at the world, on the reference engine.
 ROUND = 20
 
 
@@ -50,7 +63,7 @@ class Machine:
     `team` is every agent of the deployment in its order, `here` this host's number in it, `life` a number
     that tells this life of the host from all others; `fenced` are the coordinators that begin no portal
     unasked. An exception that is none of L's, a bug of ours, ends the agent in whose turn it happened, with a
-    report.
+    report. `engines` makes what runs the program: the reference engine, if nothing is said.
     """
 
     def __init__(
@@ -63,12 +76,15 @@ class Machine:
         clock: Clock,
         dice: random.Random,
         fenced: Collection[str] = (),
+        engines: Engines | None = None,
     ) -> None:
         self.program = program
         self.team = team
         self._here, self._world, self._fenced = here, world, fenced
+        #: How many slices the last turn has taken.
+        self._used = 1
         self._scheduler = scheduler = Scheduler(
-            program, 1 + life % (layout.START_LIMIT - 1), world, clock, self._portal_failed
+            program, 1 + life % (layout.START_LIMIT - 1), world, clock, self._portal_failed, engines or Engine
         )
         #: The agents that are here, by id.
         self.agents = scheduler.agents
@@ -78,7 +94,8 @@ class Machine:
         cancelling = self._cancelling = Cancelling(scheduler)
         self._liveness = Liveness(program, scheduler.layouts)
         self.questions = Questions(scheduler)
-        self._soundness = Soundness(program, scheduler.layouts, [member.type for member in team])
+        types = [member.type for member in team]
+        self._soundness = Soundness(program, scheduler.layouts, types, self.engine.space)
         begun = self._begun = BegunCalls(scheduler, cancelling, self._soundness)
         #: The calls that were begun here, by what is told of them (see `BegunCalls`).
         self.begun_calls, self.fetched, self.kept_result = begun.calls, begun.fetched, begun.kept
@@ -98,7 +115,7 @@ class Machine:
     def start(self, member: Member, limits: Limits, generation: int) -> Agent:
         """Create an agent and the thread of its init; it runs at the next `run`."""
         record = self.program.class_index[member.type]
-        block = Block.empty(self.program.digest, limits.heap // 8)
+        block = Block.empty(self.program.digest, limits.heap // 8, self.engine.space)
         readings: list[Reading | None] = [None] * len(self.program.core.device_calls)
         agent = Agent(member, block, limits, readings, open=member.kind == "coordinator")
         agent.fenced = member.id in self._fenced
@@ -289,14 +306,17 @@ class Machine:
                 ring()
             except Exception as error:
                 self._break(agent, 0, error)
-        for _ in range(ROUND):
-            if not turns:
-                break
+        left = ROUND * self.engine.pace
+        while left > 0 and turns:
             agent, thread = turns.take()
+            # Nobody else can become ready: the slices are all this thread's, so it has them at once.
+            alone = not (turns or agent.pollers or agent.blocked or self.attached.meter)
+            self._used = 1
             try:
-                self._turn(agent, thread)
+                self._turn(agent, thread, left if alone else 1)
             except Exception as error:
                 self._break(agent, thread, error)
+            left -= self._used
         return turns.pause()
 
     def _break(self, agent: Agent, thread: int, error: Exception) -> None:
@@ -310,15 +330,18 @@ class Machine:
             # Where it stood cannot even be told; whoever waits for it must hear all the same.
             self._scheduler.die(agent, reason)
 
-    def _turn(self, agent: Agent, thread: int) -> None:
-        """One slice of one thread, and whatever its exit asks for."""
+    def _turn(self, agent: Agent, thread: int, slices: int) -> None:
+        """A slice of one thread, or several; and whatever its exit asks for."""
         if agent.ended or agent.frozen:
             return
         scheduler = self._scheduler
         place = place_of(agent.block, thread)
-        leave = self.engine.run(agent.block, place, SLICE, agent.limits, agent.readings)
+        budget = SLICE * slices
+        leave = self.engine.run(agent.block, place, budget, agent.limits, agent.readings)
+        used = budget - self.engine.unused
+        self._used = max(1, -(-used // SLICE))
         if self.attached.meter is not None:
-            self.attached.meter(SLICE - self.engine.unused)
+            self.attached.meter(used)
         if agent.polls and self.engine.asked:
             agent.asked.add(thread)
         if agent.blocked:

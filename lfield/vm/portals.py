@@ -264,7 +264,7 @@ def _return(scheduler: Scheduler, resource: Agent, caller: Agent, waiter: int, w
         scheduler.refuse(caller, waiter, "TimeLimitException", caller.over, resource.id)
         return
     place = place_of(caller.block, waiter)
-    group = scheduler.engine.group(caller.block.w[place + THREAD_PC])
+    group = scheduler.engine.groups[caller.block.w[place + THREAD_PC]]
     if group.kind in REFERENCES and word:
         scheduler.complete(
             caller, waiter, lambda: deep_copy(resource.block, [word], caller.block, scheduler.layouts)[0]

@@ -71,10 +71,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="this host has never started its coordinators before, and need not hear all others first",
     )
     parser.add_argument(
+        "--engine",
+        choices=("auto", "wasm", "reference"),
+        default="",
+        help="what runs the program, whatever the devices file says: auto is the faster that there is",
+    )
+    parser.add_argument(
         "--trust-network",
         action="store_true",
         help="listen beyond this machine without keys: whoever reaches the port controls the robots",
     )
+    _add_hidden(parser)
+
+
+def _add_hidden(parser: argparse.ArgumentParser) -> None:
     # For processes that `--all` starts: the listening socket they inherit, the address where commands find
     # them, to end with their parent, and the command that sets up their devices.
     parser.add_argument("--listen-fd", type=int, help=argparse.SUPPRESS)
@@ -182,6 +192,7 @@ def _run_one(mission: Mission, args: argparse.Namespace) -> int:
                 leash=args.leash,
                 journal=journal,
                 first_start=args.first_start,
+                engine=args.engine,
             )
         )
 

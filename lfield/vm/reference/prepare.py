@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import struct
 from dataclasses import dataclass
 from typing import Any
 
 from lfield.bytecode.opcodes import BY_CODE, BY_NAME, Opcode
 from lfield.bytecode.program import HELD, PROXY, REAL, VOID, DeviceCall, MethodRecord, Program, Quad
-from lfield.vm.contract import PLAIN, Trap
+from lfield.vm.contract import PLAIN, Group, Trap
 from lfield.vm.memory.layout import Layouts
+from lfield.vm.memory.values import word_of
 from lfield.vm.reference import arithmetic, calls, memory
 from lfield.vm.reference.calls import Argument
 from lfield.vm.reference.library import FUNCTIONS, Function
@@ -19,28 +19,27 @@ _PUSH, _POP, _JMP = BY_NAME["push"].code, BY_NAME["pop"].code, BY_NAME["jmp"].co
 
 
 @dataclass(frozen=True, slots=True)
-class Group:
-    """A prepared group: its head, the slot its result goes to (-1: none), and the instruction after it.
+class Ask:
+    """A group whose head leaves the engine: its own operand, its arguments, and which must not be null."""
 
-    `kind` is the type kind of the result, as in bytecode.program. `parks` is true for the `yield` of
-    `while (true) yield();`.
-    """
-
-    head: Quad
-    destination: int
-    after: int
-    kind: int
-    parks: bool
+    op: int
+    operand: int
+    arguments: tuple[Argument, ...]
+    checked: tuple[int, ...]
 
 
 @dataclass(frozen=True, slots=True)
 class Prepared:
-    """A program as the engine runs it: a step per instruction, and its groups by first instruction."""
+    """A program as the engine runs it: a step per instruction, and its groups by first instruction.
+
+    `asks` are those groups that leave it, whatever the world has told already.
+    """
 
     program: Program
     layouts: Layouts
     steps: list[Step]
     groups: dict[int, Group]
+    asks: dict[int, Ask]
     destinations: dict[int, int]
     class_names: list[str]
 
@@ -53,7 +52,7 @@ def prepare(program: Program) -> Prepared:
 def _bits(value: bool | int | float | str | None) -> int:
     """The word a constant is in a slot: reals by their bits, null as 0."""
     if isinstance(value, float):
-        return int(struct.unpack("<q", struct.pack("<d", value))[0])
+        return word_of(value)
     return int(value) if isinstance(value, int) else 0
 
 
@@ -69,6 +68,7 @@ class _Preparer:
         self.quads = program.quads
         self.steps: list[Step] = [_unreachable] * len(self.quads)
         self.groups: dict[int, Group] = {}
+        self.asks: dict[int, Ask] = {}
         self.destinations: dict[int, int] = {}
         self.bits = [_bits(c) for c in self.core.constants]
 
@@ -78,7 +78,9 @@ class _Preparer:
             while pc < method.end:
                 pc = self.instruction(pc, method)
         names = [c.name for c in self.core.classes]
-        return Prepared(self.program, self.layouts, self.steps, self.groups, self.destinations, names)
+        return Prepared(
+            self.program, self.layouts, self.steps, self.groups, self.asks, self.destinations, names
+        )
 
     def instruction(self, pc: int, method: MethodRecord) -> int:
         """Prepare what stands at `pc`, a whole group or one instruction; returns what stands after it."""
@@ -193,7 +195,15 @@ class _Preparer:
         self.groups[first] = Group(head, destination, after, kind, parks)
         arguments = [self.source(operand) for operand in operands]
         self.steps[first] = self.head(head, arguments, operands, pc + 1, after, destination)
+        row = BY_CODE[head.op]
+        if row.exits and not self.is_reading(row, head, arguments):
+            checked = tuple(self.checked(row, head.a))
+            self.asks[first] = Ask(head.op, head.a, tuple(arguments), checked)
         return after
+
+    def is_reading(self, row: Opcode, head: Quad, arguments: list[Argument]) -> bool:
+        """Whether a head is a query whose answer the host may have told already."""
+        return row.name == "device" and not arguments and self.device_result(head.a) in PLAIN
 
     def head(
         self, head: Quad, arguments: list[Argument], operands: list[int], back: int, after: int, into: int
@@ -206,7 +216,7 @@ class _Preparer:
             return calls.call(arguments, head.a, words, entry, back, callee.name)
         if row.exits:
             ask = calls.outside(arguments, head.op, head.a, self.checked(row, head.a))
-            if row.name == "device" and not arguments and self.device_result(head.a) in PLAIN:
+            if self.is_reading(row, head, arguments):
                 return calls.reading(ask, head.a, into, after)
             return ask
         reals = [kind == "real" for kind in row.takes or ()]

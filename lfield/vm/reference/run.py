@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Container, Mapping, Sequence
 from operator import length_hint
 
 from lfield.bytecode.program import Program
-from lfield.vm.contract import SPENT, Exit, Limits, NoRoom, Reading, Thrown, Trap
+from lfield.vm.contract import SPENT, STOPPED, Exit, Group, Limits, NoRoom, Reading, Thrown, Trap
 from lfield.vm.memory.block import Block, Full
 from lfield.vm.memory.layout import (
     FRAME_SLOTS,
@@ -15,14 +15,18 @@ from lfield.vm.memory.layout import (
     THREAD_PC,
     Layouts,
 )
+from lfield.vm.memory.space import SEPARATE, Space
 from lfield.vm.memory.values import EXCEPTION_WORDS, new_exception
-from lfield.vm.reference.prepare import Group, Prepared, Raised, prepare
+from lfield.vm.reference.prepare import Prepared, Raised, prepare
 from lfield.vm.reference.registers import LEAVE, Registers
 from lfield.vm.reference.unwind import find_handler, unwind
 
 
 class Engine:
-    """Runs threads of blocks of one program. Keeps nothing between two calls of `run`."""
+    """Runs threads of blocks of one program, wherever their bytes are. Keeps nothing between two runs."""
+
+    space: Space = SEPARATE
+    pace = 1
 
     def __init__(self, program: Program, now: Callable[[], float]) -> None:
         self.program = program
@@ -37,9 +41,10 @@ class Engine:
         """Where references are, for the collector and the copier."""
         return self.prepared.layouts
 
-    def group(self, pc: int) -> Group:
-        """The group that begins at an instruction."""
-        return self.prepared.groups[pc]
+    @property
+    def groups(self) -> Mapping[int, Group]:
+        """The groups of the program, by their first instruction."""
+        return self.prepared.groups
 
     @property
     def asked(self) -> bool:
@@ -58,8 +63,11 @@ class Engine:
         budget: int,
         limits: Limits,
         readings: Sequence[Reading | None] = (),
+        stops: Container[int] | None = None,
     ) -> Exit:
         """Run the thread at `thread` for at most `budget` instructions; `readings` are by device call.
+
+        Where there are `stops`, at least one instruction is done, and none at a stop after that.
 
         On return the thread's frame and pc in the block are where it will go on: behind what is done, or at
         the instruction (the group) that could not be done here.
@@ -78,10 +86,15 @@ class Engine:
         going = True
         while going:
             try:
-                self._go(m)
+                if stops is None:
+                    self._go(m)
+                else:
+                    self._go_to(m, stops)
                 going = False
             except (Trap, Raised, Full, ValueError, ArithmeticError) as error:
                 going = self._recover(m, error)
+                if going and stops is not None and m.pc in stops:
+                    m.exit, going = STOPPED, False
         w[thread + THREAD_FRAME] = m.frame
         w[thread + THREAD_PC] = m.pc
         return m.exit
@@ -95,6 +108,20 @@ class Engine:
             pc = steps[pc](m)
             if pc == LEAVE:
                 return
+        m.pc = pc
+
+    def _go_to(self, m: Registers, stops: Container[int]) -> None:
+        """As `_go`, but not beyond a stop."""
+        steps = self.prepared.steps
+        pc = m.pc
+        for _ in m.instructions:
+            m.pc = pc
+            pc = steps[pc](m)
+            if pc == LEAVE:
+                return
+            if pc in stops:
+                m.exit = STOPPED
+                break
         m.pc = pc
 
     def _recover(self, m: Registers, error: Exception) -> bool:

@@ -1,0 +1,164 @@
+"""The engine in WebAssembly: runs what it has functions for, and has the reference engine do the rest.
+
+Both work on the same block, and where one stops the other goes on: a thread's place in the block is always
+one that the reference engine knows, and at each *point* WebAssembly can take over again.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable, Container, Mapping, Sequence
+
+import wasmtime
+
+from lfield.bytecode.program import Program
+from lfield.vm.contract import SPENT, STOPPED, Done, Exit, Group, Limits, Outside, Reading
+from lfield.vm.memory.block import Block
+from lfield.vm.memory.layout import FRAME_SLOTS, THREAD_FRAME, THREAD_ID, THREAD_PC, Layouts
+from lfield.vm.reference import Engine as Reference
+from lfield.vm.reference.prepare import Ask
+from lfield.vm.wasm.calls import quick, unsigned
+from lfield.vm.wasm.code import Cache, code_of
+from lfield.vm.wasm.heaps import Heaps
+from lfield.vm.wasm.lower.driver import GIVEN, KEPT, REGISTERS, TOLD
+from lfield.vm.wasm.lower.method import DONE, SHORT, STEP
+from lfield.vm.wasm.lower.module import low_bytes
+from lfield.vm.wasm.lower.table import RUNTIME
+
+_give = struct.Struct(f"<{len(GIVEN) + len(KEPT)}q").pack_into
+_told = struct.Struct(f"<{len(KEPT) + len(TOLD)}q").unpack_from
+
+
+class Engine:
+    """Runs threads of blocks of one program; blocks outside its arena only by the reference engine."""
+
+    pace = 20
+
+    def __init__(self, program: Program, now: Callable[[], float], cache: Cache | None = None) -> None:
+        self.program = program
+        self._reference = Reference(program, now)
+        self.space = Heaps(low_bytes(program), cache)
+        code = code_of(self._reference.prepared, self.space.reservation, cache)
+        #: The number of each instruction where WebAssembly can take over.
+        self.points = code.points
+        store = self.space.store
+        runtime = self.space.functions.instance.exports(store)
+        instance = wasmtime.Instance(
+            store, code.compiled, [self.space.memory, *(runtime[name] for name in RUNTIME)]
+        )
+        self._asks = self._reference.prepared.asks
+        self._registers = self.space.view(0, 8 * len(REGISTERS))
+        self._enter = quick(store, instance, "run", 0)
+        self._left = 0
+        self._asked = False
+
+    @property
+    def layouts(self) -> Layouts:
+        """Where references are, for the collector and the copier."""
+        return self._reference.layouts
+
+    @property
+    def groups(self) -> Mapping[int, Group]:
+        """The groups of the program, by their first instruction."""
+        return self._reference.groups
+
+    @property
+    def asked(self) -> bool:
+        """Whether the last run has read what is beyond the block."""
+        return self._asked
+
+    @property
+    def unused(self) -> int:
+        """How many instructions of its budget the last run has not used."""
+        return self._left
+
+    def run(
+        self,
+        block: Block,
+        thread: int,
+        budget: int,
+        limits: Limits,
+        readings: Sequence[Reading | None] = (),
+    ) -> Exit:
+        """As `lfield.vm.reference.Engine.run`."""
+        self._left, self._asked = budget, False
+        base = self.space.base(block.data)
+        if base < 0:
+            return self._refer(block, thread, limits, readings, None)
+        points, w = self.points, block.w
+        while self._left > 0:
+            status = STEP
+            if point := points.get(w[thread + THREAD_PC], 0):
+                status, word = self._resume(block, thread, base, point, limits)
+                if status == DONE:
+                    return Done(word)
+                if not self._left:
+                    return SPENT
+            ask = self._asks.get(w[thread + THREAD_PC])
+            if ask is not None and (leave := self._ask(block, thread, ask)) is not None:
+                return leave
+            stops = None if status == SHORT else points
+            leave = self._refer(block, thread, limits, readings, stops)
+            if leave is not STOPPED:
+                return leave
+        return SPENT
+
+    def _refer(
+        self,
+        block: Block,
+        thread: int,
+        limits: Limits,
+        readings: Sequence[Reading | None],
+        stops: Container[int] | None,
+    ) -> Exit:
+        """Let the reference engine go on."""
+        reference = self._reference
+        leave = reference.run(block, thread, self._left, limits, readings, stops)
+        self._left = reference.unused
+        self._asked = self._asked or reference.asked
+        return leave
+
+    def _ask(self, block: Block, thread: int, ask: Ask) -> Exit | None:
+        """The exit of a head that leaves; None where the reference engine throws for a null."""
+        w = block.w
+        slots = w[thread + THREAD_FRAME] + FRAME_SLOTS
+        words = [constant if slot is None else w[slots + slot] for slot, constant in ask.arguments]
+        for number in ask.checked:
+            if not words[number]:
+                return None
+        self._left -= 1
+        return Outside(ask.op, ask.operand, words)
+
+    def _resume(self, block: Block, thread: int, base: int, point: int, limits: Limits) -> tuple[int, int]:
+        """Let WebAssembly run from a point on; the block says afterwards where it stands.
+
+        Returns how it left, and the word of the result where the thread's first method has returned.
+        """
+        w = block.w
+        _give(
+            self._registers,
+            0,
+            base,
+            base + 8 * block.end,
+            point,
+            limits.call_depth,
+            limits.array_length,
+            limits.string_length,
+            w[thread + THREAD_ID],
+            base + 8 * block.top,
+            base + 8 * w[thread + THREAD_FRAME],
+            self._left,
+        )
+        status = unsigned(self._enter())
+        top, frame, self._left, w[thread + THREAD_PC], word = _told(self._registers, 8 * len(GIVEN))
+        block.top = top - base >> 3
+        w[thread + THREAD_FRAME] = frame - base >> 3
+        return status, word
+
+    def complete(self, block: Block, thread: int, word: int) -> None:
+        """Give the group the thread stands at its result; the thread goes on behind it."""
+        self._reference.complete(block, thread, word)
+
+    def throw(self, block: Block, thread: int, thrown: int) -> bool:
+        """Throw the object at `thrown` where the thread stands; false when nobody catches it."""
+        return self._reference.throw(block, thread, thrown)
