@@ -86,7 +86,7 @@ boolean p = i < j; int at = i * {values} + j;
 def random_calculation(dice: random.Random) -> Piece:
     """A program by what the dice say."""
     expressions = Expressions(dice, _PAIR, {})
-    kinds = [dice.choice(_TYPES) for _ in range(dice.choice((2, 4, 8)))]
+    kinds = [dice.choice(_TYPES) for _ in range(dice.choice((6, 12, 20)))]
     forms = [_kept(expressions, kind, number, len(kinds)) for number, kind in enumerate(kinds)]
     text = _PROGRAM.format(room=_VALUES * _VALUES * len(kinds), values=_VALUES)
     return written("", text, Piece("", [_given(dice)]), Piece("", [forms]))

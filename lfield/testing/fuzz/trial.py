@@ -15,7 +15,7 @@ from lfield.vm.contract import Engines, Limits
 from lfield.vm.machine import Machine
 
 #: Instructions that one trial does at most, and rounds of the machine.
-LONGEST, ROUNDS = 6000, 150
+LONGEST, ROUNDS = 10_000, 150
 #: The comment of a program that is not about limits.
 ROOM = "// room: enough"
 _DEPLOY = re.compile(r"//\s*deploy:\s*(\w+):(\w+)(?:\?(\S*))?\s*$", re.MULTILINE)
