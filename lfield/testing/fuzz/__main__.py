@@ -21,7 +21,7 @@ from lfield.errors import ProgramError
 from lfield.testing.fuzz.mutations import Edit, edited, random_edits
 from lfield.testing.fuzz.programs import random_program
 from lfield.testing.fuzz.shrinking import shrink, shrunk_edits
-from lfield.testing.fuzz.trial import Outcome, deployed, tried
+from lfield.testing.fuzz.trial import Outcome, tried
 from lfield.testing.golden import compile_text
 from lfield.vm.contract import Engines
 
@@ -62,8 +62,9 @@ class Fuzz:
     def seed(self, seed: int) -> Iterator[str]:
         """Try one program and its mutants; a report for each difference."""
         piece = random_program(random.Random(seed))
-        program, team = compile_text(piece.text()), deployed(piece.text())
-        outcome = tried(program, team, seed, self._engines)
+        text = piece.text()
+        program = compile_text(text)
+        outcome = tried(program, text, seed, self._engines)
         self.tally.add(outcome)
         if outcome.differences:
             self.tally.found += 1
@@ -73,11 +74,11 @@ class Fuzz:
         for number in range(self._mutants):
             dice = random.Random(f"{seed} {number}")
             mutant, edits = random_edits(program, dice, dice.choice((1, 1, 2, 4)), mutant, edits)
-            outcome = tried(mutant, team, seed + number, self._engines)
+            outcome = tried(mutant, text, seed + number, self._engines)
             self.tally.add(outcome)
             if outcome.differences:
                 self.tally.found += 1
-                yield self._shrunk_mutant(program, team, edits, seed, number)
+                yield self._shrunk_mutant(program, text, edits, seed, number)
                 return
 
     def _shrunk(self, seed: int) -> str:
@@ -86,7 +87,7 @@ class Fuzz:
         def outcome() -> Outcome | None:
             try:
                 program = compile_text(piece.text())
-                return tried(program, deployed(piece.text()), seed, self._engines)
+                return tried(program, piece.text(), seed, self._engines)
             except (ProgramError, StopIteration):
                 return None
 
@@ -96,12 +97,10 @@ class Fuzz:
         first = found.differences[0]
         return f"seed {seed}: {first}\n{piece.text()}\n{around(compile_text(piece.text()), first)}"
 
-    def _shrunk_mutant(
-        self, program: Program, team: list[tuple[str, str, str]], edits: list[Edit], seed: int, number: int
-    ) -> str:
+    def _shrunk_mutant(self, program: Program, text: str, edits: list[Edit], seed: int, number: int) -> str:
         def outcome(kept: list[Edit]) -> Outcome | None:
             mutant = edited(program, kept)
-            return None if mutant is None else tried(mutant, team, seed + number, self._engines)
+            return None if mutant is None else tried(mutant, text, seed + number, self._engines)
 
         kept = shrunk_edits(edits, lambda e: (found := outcome(e)) is not None and found.differences != ())
         found, mutant = outcome(kept), edited(program, kept)

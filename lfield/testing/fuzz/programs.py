@@ -9,6 +9,7 @@ import random
 import re
 from itertools import count
 
+from lfield.testing.fuzz.calculations import random_calculation
 from lfield.testing.fuzz.expressions import Expressions
 from lfield.testing.fuzz.statements import Statements
 from lfield.testing.fuzz.tree import PLAIN, Piece, written
@@ -173,4 +174,4 @@ class _Maker:
 
 def random_program(dice: random.Random) -> Piece:
     """A program by what the dice say; `Piece.text` is its L."""
-    return _Maker(dice).program()
+    return random_calculation(dice) if dice.random() < 0.3 else _Maker(dice).program()

@@ -15,7 +15,9 @@ from lfield.vm.contract import Engines, Limits
 from lfield.vm.machine import Machine
 
 #: Instructions that one trial does at most, and rounds of the machine.
-LONGEST, ROUNDS = 6000, 150
+LONGEST, ROUNDS = 10_000, 150
+#: The comment of a program that is not about limits.
+ROOM = "// room: enough"
 _DEPLOY = re.compile(r"//\s*deploy:\s*(\w+):(\w+)(?:\?(\S*))?\s*$", re.MULTILINE)
 
 
@@ -38,15 +40,13 @@ def random_limits(dice: random.Random) -> Limits:
     )
 
 
-def deployed(text: str) -> list[tuple[str, str, str]]:
-    """The agents that a text asks for in comments, as golden programs do."""
-    return _DEPLOY.findall(text)
+def tried(program: Program, text: str, seed: int, engines: Engines) -> Outcome:
+    """Run a program on an engine and the reference engine; the seed decides limits and slices.
 
-
-def tried(program: Program, team: list[tuple[str, str, str]], seed: int, engines: Engines) -> Outcome:
-    """Run a program on an engine and the reference engine; the seed decides limits and slices."""
+    The text says in comments which agents there are, as golden programs do, and whether there is ROOM.
+    """
     dice = random.Random(seed)
-    limits = random_limits(dice)
+    limits = Limits() if ROOM in text else random_limits(dice)
     desk, clock = Desk(), ManualClock()
     made: list[Twin] = []
 
@@ -54,7 +54,7 @@ def tried(program: Program, team: list[tuple[str, str, str]], seed: int, engines
         made.append(Twin(program, now, engines, dice, LONGEST))
         return made[0]
 
-    members = team_for(program, team)
+    members = team_for(program, _DEPLOY.findall(text))
     machine = desk.machine = Machine(program, members, 0, 1, desk, clock, random.Random(1), engines=twin)
     for member in members:
         machine.start(member, limits, generation=1)

@@ -15,7 +15,7 @@ from collections.abc import Iterator
 from lfield.bytecode.opcodes import BY_CODE
 from lfield.bytecode.program import Program
 from lfield.testing.fuzz.programs import random_program
-from lfield.testing.fuzz.trial import deployed, tried
+from lfield.testing.fuzz.trial import tried
 from lfield.testing.golden import compile_text
 from lfield.vm.wasm import code
 from lfield.vm.wasm.engine import Engine
@@ -59,7 +59,7 @@ def noticed(programs: list[tuple[Program, str]], opcode: str) -> int:
     for seed, (program, text) in enumerate(programs):
         if any(BY_CODE[quad.op].name == opcode for quad in program.quads):
             code._recent.clear()
-            if tried(program, deployed(text), seed, Engine).differences:
+            if tried(program, text, seed, Engine).differences:
                 return seed
     return -1
 
