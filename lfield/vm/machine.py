@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import random
 import traceback as python_traceback
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
+from typing import Any
 
 from lfield.bytecode.program import Program
 from lfield.clock import Clock
@@ -92,6 +93,15 @@ class Machine:
         self._together = Together(scheduler, self._visits, held, cancelling, self._limits)
         heads = {**self._together.heads(), **Reserving(scheduler, held, here).heads()}
         self._outsiders = Outsiders(scheduler, team, here, dice, cancelling, self._limits, held, heads)
+        #: What each exit of the engine asks for.
+        self._exits: dict[type[Exit], Callable[[Agent, int, Any], None]] = {
+            Outside: self._outside,
+            Done: self._done,
+            Spent: self._spent,
+            Blocked: self._blocked,
+            NoRoom: self._no_room,
+            Thrown: self._thrown,
+        }
 
     # --- agents come and go ---------------------------------------------------------------------------
 
@@ -279,16 +289,16 @@ class Machine:
         Returns the seconds until a thread can run again (0: at once), or None when only the world can
         change that.
         """
-        turns = self._turns
+        turns, ready = self._turns, self._turns.ready
         for agent, ring in turns.wake():
             try:
                 ring()
             except Exception as error:
                 self._break(agent, 0, error)
         for _ in range(ROUND):
-            if not turns:
+            if not ready:
                 break
-            agent, thread = turns.take()
+            agent, thread = ready.popleft()
             try:
                 self._turn(agent, thread)
             except Exception as error:
@@ -311,8 +321,9 @@ class Machine:
         if agent.ended or agent.frozen:
             return
         scheduler = self._scheduler
-        place = place_of(agent.block, thread)
-        leave = self.engine.run(agent.block, place, SLICE, agent.limits, agent.readings)
+        block = agent.block
+        place = place_of(block, thread)
+        leave = self.engine.run(block, place, SLICE, agent.limits, agent.readings)
         if self.attached.meter is not None:
             self.attached.meter(SLICE - self.engine.unused)
         if agent.polls and self.engine.asked:
@@ -320,43 +331,40 @@ class Machine:
         if agent.blocked:
             scheduler.unblock(agent)
         agent.polled = False
-        self._handle(agent, thread, leave)
+        self._exits[type(leave)](agent, thread, leave)
         if not agent.polled and (agent.seen or agent.pollers):
             scheduler.stir(agent)
 
-    def _handle(self, agent: Agent, thread: int, leave: Exit) -> None:
-        match leave:
-            case Outside():
-                self._carry_out(agent, thread, leave)
-            case Spent():
-                self._turns.last(agent, thread)
-            case Done():
-                self._done(agent, thread, leave.word)
-            case NoRoom():
-                self._scheduler.make_room(agent, thread, leave.words)
-            case Blocked():
-                self._scheduler.set_state(agent, thread, BLOCKED)
-                agent.blocked.append(thread)
-                if agent.cancels.get(thread):
-                    agent.blocked.remove(thread)
-                    self._cancelling.strike(agent, thread)
-            case Thrown():
-                self._scheduler.uncaught(agent, thread, leave.place)
+    def _spent(self, agent: Agent, thread: int, leave: Exit) -> None:
+        self._turns.last(agent, thread)
 
-    def _carry_out(self, agent: Agent, thread: int, leave: Outside) -> None:
+    def _no_room(self, agent: Agent, thread: int, leave: NoRoom) -> None:
+        self._scheduler.make_room(agent, thread, leave.words)
+
+    def _blocked(self, agent: Agent, thread: int, leave: Exit) -> None:
+        self._scheduler.set_state(agent, thread, BLOCKED)
+        agent.blocked.append(thread)
+        if agent.cancels.get(thread):
+            agent.blocked.remove(thread)
+            self._cancelling.strike(agent, thread)
+
+    def _thrown(self, agent: Agent, thread: int, leave: Thrown) -> None:
+        self._scheduler.uncaught(agent, thread, leave.place)
+
+    def _outside(self, agent: Agent, thread: int, leave: Outside) -> None:
         start = agent.block.top
         try:
             self._outsiders.carry_out(agent, thread, leave)
         except Full as full:
             self._scheduler.make_room(agent, thread, agent.block.lacking(start, full))
 
-    def _done(self, agent: Agent, thread: int, word: int) -> None:
+    def _done(self, agent: Agent, thread: int, leave: Done) -> None:
         scheduler = self._scheduler
         if agent.lines:
             scheduler.flush(agent, thread)
         call = agent.block.w[place_of(agent.block, thread) + THREAD_CALL]
         if call:
-            portals.finish(scheduler, agent, thread, call, word)
+            portals.finish(scheduler, agent, thread, call, leave.word)
         elif agent.member.kind == "coordinator":
             agent.ended = "done"
             scheduler.release(agent)

@@ -51,6 +51,7 @@ class Outsiders:
     ) -> None:
         self._scheduler, self._team, self._here, self._dice = scheduler, team, here, dice
         self._cancelling, self._limits, self._held = cancelling, limits, held
+        self._reserves = scheduler.program.has_reserves
         self._shapes = Shapes(scheduler.program)
         self._by_type: dict[str, dict[str, int]] = {}
         for member in team:
@@ -195,9 +196,9 @@ class Outsiders:
     # --- the team -------------------------------------------------------------------------------------
 
     def _pcall(self, agent: Agent, thread: int, operand: int, words: list[int]) -> None:
-        member = self._behind(agent, words[0])
+        member = self._team[agent.block.w[words[0] + PROXY_MEMBER]]
         if member.host == self._here:
-            number = self._held.number(agent, member)
+            number = self._held.number(agent, member) if self._reserves else 0
             portals.call(self._scheduler, member, agent, thread, operand, words, number)
             return
         self._scheduler.freeze(agent, thread)

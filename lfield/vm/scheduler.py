@@ -10,7 +10,7 @@ from itertools import count
 from typing import Literal, TypeVar
 
 from lfield.bytecode.acting import acting_methods
-from lfield.bytecode.program import DEVICE, REFERENCES, Program
+from lfield.bytecode.program import DEVICE, REFERENCES, MethodRecord, Program
 from lfield.clock import Clock
 from lfield.vm.agent import Agent
 from lfield.vm.attached import Attached
@@ -22,7 +22,7 @@ from lfield.vm.memory.block import Block, Full
 from lfield.vm.memory.collector import collect
 from lfield.vm.memory.layout import ARRAY, CALLING, DEAD, OBJECT, THREAD_CALL, THREAD_PC, THREAD_STATE
 from lfield.vm.memory.parcels import parcel_made
-from lfield.vm.memory.threads import new_thread, place_of, threads, unlink
+from lfield.vm.memory.threads import new_thread, place_of, thread_template, threads, unlink
 from lfield.vm.memory.values import new_exception
 from lfield.vm.reference import Engine
 from lfield.vm.turns import Turns
@@ -69,7 +69,10 @@ class Scheduler:
         self.turns = Turns(clock)
         self.attached = Attached()
         self._failed = failed
-        self._reference_arguments: dict[int, tuple[int, ...]] = {}
+        #: By method, which arguments are references (1: the first after the object itself).
+        self.reference_arguments = [_references(program, method) for method in program.core.methods]
+        #: By method, what a thread that runs it looks like at first.
+        self._threads: dict[int, memoryview[int]] = {}
 
     # --- time -----------------------------------------------------------------------------------------
 
@@ -119,21 +122,13 @@ class Scheduler:
 
     def spawn(self, agent: Agent, method: int, words: list[int], call: int) -> int:
         """A thread of an agent, not yet in the queue; raises Full."""
-        record = self.program.core.methods[method]
-        frame = self.layouts.frame_words[method]
-        entry = record.entry if record.synchronized else record.entry + 1
-        return new_thread(agent.block, method, frame, entry, words, call)
-
-    def reference_arguments(self, method: int) -> tuple[int, ...]:
-        """Which arguments of a portal are references (1: the first after the resource itself)."""
-        found = self._reference_arguments.get(method)
-        if found is None:
-            record, types = self.program.core.methods[method], self.program.core.types
-            found = tuple(
-                i for i in range(1, record.parameters + 1) if types[record.slots[i]].kind in REFERENCES
-            )
-            self._reference_arguments[method] = found
-        return found
+        template = self._threads.get(method)
+        if template is None:
+            record = self.program.core.methods[method]
+            entry = record.entry if record.synchronized else record.entry + 1
+            template = thread_template(method, self.layouts.frame_words[method], entry)
+            self._threads[method] = template
+        return new_thread(agent.block, template, words, call)
 
     def open(self, agent: Agent) -> None:
         """A resource came to its first pause: calls that waited for it begin."""
@@ -318,11 +313,17 @@ class Scheduler:
     def forget(self, agent: Agent, thread: int) -> None:
         """A thread of an agent that goes on has come to its end."""
         unlink(agent.block, thread)
-        agent.polls.pop(thread, None)
-        agent.asked.discard(thread)
-        agent.cancels.pop(thread, None)
+        if agent.polls or agent.asked or agent.cancels:
+            agent.polls.pop(thread, None)
+            agent.asked.discard(thread)
+            agent.cancels.pop(thread, None)
 
     def flush(self, agent: Agent, thread: int) -> None:
         """Write what a thread has left of a line."""
         if rest := agent.lines.pop(thread, ""):
             self.world.write(agent, rest)
+
+
+def _references(program: Program, method: MethodRecord) -> tuple[int, ...]:
+    types, slots = program.core.types, method.slots
+    return tuple(i for i in range(1, method.parameters + 1) if types[slots[i]].kind in REFERENCES)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from itertools import repeat
 from operator import length_hint
 
 from lfield.bytecode.program import Program
@@ -31,6 +32,7 @@ class Engine:
         self._registers.now = now
         self._registers.builtins = program.builtins
         self._registers.others = program.others
+        self._registers.class_names = self.prepared.class_names
 
     @property
     def layouts(self) -> Layouts:
@@ -67,35 +69,33 @@ class Engine:
         m = self._registers
         w = block.w
         m.block, m.w, m.r = block, w, block.r
-        m.limits, m.class_names = limits, self.prepared.class_names
-        m.readings, m.asked = readings, False
-        m.frame = w[thread + THREAD_FRAME]
-        m.slots = m.frame + FRAME_SLOTS
+        m.limits, m.readings, m.asked = limits, readings, False
+        m.frame = frame = w[thread + THREAD_FRAME]
+        m.slots = frame + FRAME_SLOTS
         m.thread = w[thread + THREAD_ID]
-        m.pc = w[thread + THREAD_PC]
         m.exit = SPENT
-        m.instructions = iter(range(budget))
+        m.instructions = instructions = repeat(None, budget)
+        steps = self.prepared.steps
+        # The instruction that is done, and the one behind it.
+        at = pc = w[thread + THREAD_PC]
         going = True
         while going:
+            going = False
             try:
-                self._go(m)
-                going = False
+                for _ in instructions:
+                    at = pc
+                    pc = steps[at](m)
+                    if pc == LEAVE:
+                        break
+                else:
+                    at = pc
             except (Trap, Raised, Full, ValueError, ArithmeticError) as error:
+                m.pc = at
                 going = self._recover(m, error)
+                at = pc = m.pc
         w[thread + THREAD_FRAME] = m.frame
-        w[thread + THREAD_PC] = m.pc
+        w[thread + THREAD_PC] = at
         return m.exit
-
-    def _go(self, m: Registers) -> None:
-        """Take steps until one leaves or the instructions are used up; `m.pc` is where it came to."""
-        steps = self.prepared.steps
-        pc = m.pc
-        for _ in m.instructions:
-            m.pc = pc
-            pc = steps[pc](m)
-            if pc == LEAVE:
-                return
-        m.pc = pc
 
     def _recover(self, m: Registers, error: Exception) -> bool:
         """Make an L exception of what a step raised, and go to who catches it; false to leave the engine."""
