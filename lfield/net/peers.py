@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import asyncio
 import random
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Collection, Sequence
 from contextlib import suppress
 from typing import Protocol
 
@@ -89,6 +89,10 @@ class Peers:
         near: Collection[str],
     ) -> None:
         self._owner, self._transport, self._clock = owner, transport, clock
+        #: The clock's monotonic time.
+        self.now = clock.monotonic
+        #: Where coordinators go, and the headers of those that are too large.
+        self.on_arrival, self.on_oversize = owner.arrived, owner.too_large
         self._hosts, self._addresses, self._here, self._near = hosts, addresses, here, near
         self._numbers = {host: number for number, host in enumerate(hosts)}
         #: Whom this host wants to talk to: always, and until when.
@@ -166,15 +170,19 @@ class Peers:
         """Send to a host; without a link the message is dropped, as mobility expects."""
         session = self._links.get(host)
         if session:
-            with suppress(AddressError):
+            try:
                 session.link.send(message)
+            except AddressError:
+                return
 
     def send_transfer(self, host: str, header: Transfer, block: Buffer) -> None:
         """Send a coordinator to a host. Where the link is just closing, `unlinked` is about to follow."""
         session = self._links.get(host)
         if session:
-            with suppress(AddressError):
+            try:
                 session.link.send_transfer(header, block)
+            except AddressError:
+                return
 
     # --- both directions ------------------------------------------------------------------------------
 
@@ -371,20 +379,6 @@ class Peers:
             hello = session.hello
             assert hello is not None
             self._owner.received(hello.host if hello.role == "host" else "", message, session.link)
-
-    @property
-    def on_arrival(self) -> Callable[[str, Transfer, memoryview], None]:
-        """Where coordinators go."""
-        return self._owner.arrived
-
-    @property
-    def on_oversize(self) -> Callable[[str, Transfer, int], None]:
-        """Where the headers of coordinators go that are too large."""
-        return self._owner.too_large
-
-    def now(self) -> float:
-        """The clock's monotonic time."""
-        return self._clock.monotonic()
 
     def complain(self, text: str) -> None:
         """A line for the log, once: a caller that is refused calls again every second."""

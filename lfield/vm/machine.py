@@ -25,7 +25,7 @@ from lfield.vm.limits import TimeLimits
 from lfield.vm.memory import layout
 from lfield.vm.memory.block import Block, Full
 from lfield.vm.memory.collector import compact
-from lfield.vm.memory.layout import BLOCKED, THREAD_CALL, THREAD_ID
+from lfield.vm.memory.layout import BLOCKED, READY, THREAD_CALL, THREAD_ID, THREAD_STATE
 from lfield.vm.memory.liveness import Liveness
 from lfield.vm.memory.soundness import Soundness
 from lfield.vm.memory.threads import place_of
@@ -73,6 +73,8 @@ class Machine:
         )
         #: The agents that are here, by id.
         self.agents = scheduler.agents
+        #: Those of them whose `init` has not come to its first pause.
+        self.opening = scheduler.opening
         #: Who watches its portal calls and what it computes, and what stands in for resources.
         self.attached = scheduler.attached
         self.engine, self.layouts, self._turns = scheduler.engine, scheduler.layouts, scheduler.turns
@@ -118,6 +120,8 @@ class Machine:
         w[layout.W_GENERATION] = generation
         block.visit(self._here)
         self.agents[member.id] = agent
+        if not agent.open:
+            self.opening[member.id] = agent
         try:
             self._scheduler.with_room(agent, lambda: self._scheduler.born(agent, record))
         except Trap as trap:
@@ -161,7 +165,10 @@ class Machine:
         """Let a frozen coordinator call its portal; the host may be asked again (`World.may_begin`)."""
         if agent.frozen:
             agent.frozen = False
-            self._turns.next(agent, _only_thread(agent))
+            w = agent.block.w
+            place = w[layout.W_THREADS]
+            w[place + THREAD_STATE] = READY
+            self._turns.soon(agent, w[place + THREAD_ID])
 
     def pack(self, agent: Agent) -> memoryview:
         """The bytes of a frozen coordinator, live data only."""
@@ -175,7 +182,8 @@ class Machine:
 
         What was packed earlier and is sent now has waited meanwhile: its time limits count that.
         """
-        agent.block.w[layout.W_CLOCK] = min(self._scheduler.clock_of(agent), layout.COUNT_LIMIT - 1)
+        now = self._scheduler.clock_of(agent)
+        agent.block.w[layout.W_CLOCK] = now if now < layout.COUNT_LIMIT else layout.COUNT_LIMIT - 1
 
     def calling(self, agent: Agent) -> tuple[Member, str] | None:
         """The resource and the portal that a frozen coordinator stands at; None when its proxy is null.
@@ -290,11 +298,8 @@ class Machine:
         change that.
         """
         turns, ready = self._turns, self._turns.ready
-        for agent, ring in turns.wake():
-            try:
-                ring()
-            except Exception as error:
-                self._break(agent, 0, error)
+        if turns.timed:
+            self._wake()
         for _ in range(ROUND):
             if not ready:
                 break
@@ -304,6 +309,13 @@ class Machine:
             except Exception as error:
                 self._break(agent, thread, error)
         return turns.pause()
+
+    def _wake(self) -> None:
+        for agent, ring in self._turns.wake():
+            try:
+                ring()
+            except Exception as error:
+                self._break(agent, 0, error)
 
     def _break(self, agent: Agent, thread: int, error: Exception) -> None:
         """A bug of ours in what was done for a thread ends its agent, and nobody else."""

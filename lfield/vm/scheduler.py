@@ -54,6 +54,8 @@ class Scheduler:
         self.engine = Engine(program, clock.monotonic)
         self.layouts = self.engine.layouts
         self.agents: dict[str, Agent] = {}
+        #: Those of them whose `init` has not come to its first pause.
+        self.opening: dict[str, Agent] = {}
         #: The portals whose callers are kept first: they may change something.
         self.acting = acting_methods(program)
         #: The portal calls under way: for each number, who waits for it, or the record of a call that was
@@ -135,6 +137,7 @@ class Scheduler:
         if agent.open:
             return
         agent.open = True
+        self.opening.pop(agent.id, None)
         waiting, agent.waiting = agent.waiting, []
         for caller, thread in waiting:
             self.turns.last(caller, thread)
@@ -182,7 +185,7 @@ class Scheduler:
 
     def freeze(self, agent: Agent, thread: int) -> None:
         """Hold a coordinator at its portal call."""
-        self.set_state(agent, thread, CALLING)
+        agent.block.w[place_of(agent.block, thread) + THREAD_STATE] = CALLING
         agent.frozen = True
 
     def stir(self, agent: Agent) -> None:
@@ -263,6 +266,7 @@ class Scheduler:
             agent.block.w[place + THREAD_STATE] = DEAD
         agent.report = "\n".join(lines)
         agent.ended = "died"
+        self.opening.pop(agent.id, None)
         if self.attached.watch is not None:
             self.attached.watch.died(agent, reason)
         self._tell_of_death(agent, f"{agent.id} has died: {reason}")

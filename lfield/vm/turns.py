@@ -32,6 +32,11 @@ class Turns:
         self._timed = 0
         self._streak = 0
 
+    @property
+    def timed(self) -> bool:
+        """Whether anybody sleeps, or an alarm is set: else there is nothing to `wake`."""
+        return bool(self._timers or self._alarms)
+
     def last(self, agent: Agent, thread: int) -> None:
         """The thread is ready and waits its turn."""
         agent.block.w[place_of(agent.block, thread) + THREAD_STATE] = READY
@@ -83,7 +88,7 @@ class Turns:
 
         In the order of their times, however late it is: a sleep that would have ended after an alarm has not.
         """
-        now = self._clock.monotonic() if self._timers or self._alarms else 0.0
+        now = self._clock.monotonic()
         while self._alarms and self._alarms[0][0] <= now:
             self._wake(self._alarms[0][0])
             _, _, agent, ring = heappop(self._alarms)
@@ -104,6 +109,8 @@ class Turns:
         """Seconds until somebody can run or an alarm rings: 0 for at once, None for never of itself."""
         if self.ready:
             return 0.0
+        if not self.timed:
+            return None
         while self._alarms and self._alarms[0][2].ended:
             heappop(self._alarms)
         while self._timers and self._asleep.get(self._timers[0][2:]) != self._timers[0][1]:

@@ -215,13 +215,14 @@ class Coordinators:
 
         But for what it has begun there it waits as long as ever: that may be there yet.
         """
-        if self._stays(agent):
+        if self.trouble and self._stays(agent):
             return
-        target, fetches = self._mission.team.hosts[resource.host], self._fetches(agent)
-        if not fetches and (why := absent.lost(target)):
-            self._resume(agent, UNREACHABLE, why)
-            return
-        since = self._clock.monotonic() - (0.0 if fetches else absent.away(target))
+        target, since = self._mission.team.hosts[resource.host], self._clock.monotonic()
+        if not absent.is_linked(target) and not self._fetches(agent):
+            if why := absent.lost(target):
+                self._resume(agent, UNREACHABLE, why)
+                return
+            since -= absent.away(target)
         self.carry_out(self.mobility.depart(agent.id, target, self._sealer(agent), since))
         if self._due is None:
             self._due = self.mobility.next_deadline()
@@ -286,15 +287,11 @@ class Coordinators:
         if member is None:
             return mobile.Refusal(UNREACHABLE, f"{self._own.host} knows no coordinator {header.agent}")
         try:
-            self._admit(member, block)
+            self._machine.admit(member, memoryview(block), self._mission.bindings.limits(member.id))
         except BlockError as error:
             self.say(f"refused {header.agent}: {error}")
             return mobile.Refusal(UNREACHABLE, f"{self._own.host} refused the coordinator: {error}")
         return None
-
-    def _admit(self, member: Member, block: Buffer) -> Agent:
-        limits = self._mission.bindings.limits(member.id)
-        return self._machine.admit(member, memoryview(block), limits)
 
     def _put(self, copy: Copy, *, runs: bool) -> Callable[[int], Buffer] | None:
         """Have a coordinator that was kept in the machine again."""
@@ -337,7 +334,9 @@ class Coordinators:
 
     def carry_out(self, effects: Iterable[mobile.Effect]) -> None:
         """Do what need not wait, and keep the rest."""
-        for effect in self.keeping.put(effects, self._clock.monotonic()) if self._own.memory else effects:
+        if self._own.memory:
+            effects = self.keeping.put(effects, self._clock.monotonic())
+        for effect in effects:
             self._effect(effect)
 
     def _effect(self, effect: mobile.Effect) -> None:
@@ -345,17 +344,17 @@ class Coordinators:
             case mobile.SendTransfer():
                 self._sent_to[effect.header.agent] = effect.host
                 self._out(effect)
+            case mobile.Go():
+                self._saving.discard(effect.agent)
+                if agent := self._held(effect.agent, effect.generation):
+                    agent.kept = True
+                    self._machine.go(agent)
             case mobile.Send(message=Accepted() as message):
                 self._answers.append((message.agent, effect))
             case mobile.Send():
                 self._out(effect)
             case mobile.Began():
                 self._start(effect.agent, effect.generation)
-            case mobile.Go():
-                self._saving.discard(effect.agent)
-                if agent := self._held(effect.agent, effect.generation):
-                    agent.kept = True
-                    self._machine.go(agent)
             case mobile.Departed():
                 if agent := self._held(effect.agent, effect.generation):
                     self._machine.release(agent)

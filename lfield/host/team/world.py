@@ -106,7 +106,8 @@ class HostWorld:
 
     def depart(self, agent: Agent, resource: Member) -> None:
         """A frozen coordinator wants to the host of a resource."""
-        self._reach(self._team.hosts[resource.host])
+        if not self._absent.is_linked(self._team.hosts[resource.host]):
+            self._reach(self._team.hosts[resource.host])
         self._coordinators.depart(agent, resource, self._absent)
         self._begun.leaves(agent)
 
