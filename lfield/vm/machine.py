@@ -23,7 +23,7 @@ from lfield.vm.cancelling import CANCELLED, Cancelling
 from lfield.vm.contract import Blocked, Done, Exit, Limits, NoRoom, Outside, Reading, Spent, Thrown, Trap
 from lfield.vm.limits import TimeLimits
 from lfield.vm.memory import layout
-from lfield.vm.memory.block import Block, Full
+from lfield.vm.memory.block import Block
 from lfield.vm.memory.collector import compact
 from lfield.vm.memory.layout import BLOCKED, READY, THREAD_CALL, THREAD_ID, THREAD_STATE
 from lfield.vm.memory.liveness import Liveness
@@ -41,8 +41,9 @@ from lfield.vm.world import World
 
 #: Instructions a thread may run before the next one's turn.
 SLICE = 2000
-#: Slices one call of `run` gives before it lets the host look at the world.
-ROUND = 20
+#: How much one call of `run` does before it lets the host look at the world: the instructions of so many
+#: slices, in so many turns at most. Who calls portals has many turns, and each of them does little.
+ROUND, TURNS = 20, 100
 
 
 class Machine:
@@ -97,7 +98,7 @@ class Machine:
         self._outsiders = Outsiders(scheduler, team, here, dice, cancelling, self._limits, held, heads)
         #: What each exit of the engine asks for.
         self._exits: dict[type[Exit], Callable[[Agent, int, Any], None]] = {
-            Outside: self._outside,
+            Outside: self._outsiders.carry_out,
             Done: self._done,
             Spent: self._spent,
             Blocked: self._blocked,
@@ -300,12 +301,13 @@ class Machine:
         turns, ready = self._turns, self._turns.ready
         if turns.timed:
             self._wake()
-        for _ in range(ROUND):
-            if not ready:
+        left = ROUND * SLICE
+        for _ in range(TURNS):
+            if not ready or left <= 0:
                 break
             agent, thread = ready.popleft()
             try:
-                self._turn(agent, thread)
+                left -= self._turn(agent, thread)
             except Exception as error:
                 self._break(agent, thread, error)
         return turns.pause()
@@ -328,16 +330,17 @@ class Machine:
             # Where it stood cannot even be told; whoever waits for it must hear all the same.
             self._scheduler.die(agent, reason)
 
-    def _turn(self, agent: Agent, thread: int) -> None:
-        """One slice of one thread, and whatever its exit asks for."""
+    def _turn(self, agent: Agent, thread: int) -> int:
+        """One slice of one thread, and whatever its exit asks for; how many instructions it has taken."""
         if agent.ended or agent.frozen:
-            return
+            return 0
         scheduler = self._scheduler
         block = agent.block
         place = place_of(block, thread)
         leave = self.engine.run(block, place, SLICE, agent.limits, agent.readings)
+        used = SLICE - self.engine.unused
         if self.attached.meter is not None:
-            self.attached.meter(SLICE - self.engine.unused)
+            self.attached.meter(used)
         if agent.polls and self.engine.asked:
             agent.asked.add(thread)
         if agent.blocked:
@@ -346,6 +349,7 @@ class Machine:
         self._exits[type(leave)](agent, thread, leave)
         if not agent.polled and (agent.seen or agent.pollers):
             scheduler.stir(agent)
+        return used
 
     def _spent(self, agent: Agent, thread: int, leave: Exit) -> None:
         self._turns.last(agent, thread)
@@ -362,13 +366,6 @@ class Machine:
 
     def _thrown(self, agent: Agent, thread: int, leave: Thrown) -> None:
         self._scheduler.uncaught(agent, thread, leave.place)
-
-    def _outside(self, agent: Agent, thread: int, leave: Outside) -> None:
-        start = agent.block.top
-        try:
-            self._outsiders.carry_out(agent, thread, leave)
-        except Full as full:
-            self._scheduler.make_room(agent, thread, agent.block.lacking(start, full))
 
     def _done(self, agent: Agent, thread: int, leave: Done) -> None:
         scheduler = self._scheduler

@@ -24,7 +24,7 @@ from lfield.vm.memory.layout import (
     W_SEQUENCE,
 )
 from lfield.vm.memory.parcels import parcel_made, parcel_of, plain_parcel
-from lfield.vm.memory.threads import count, place_of, threads
+from lfield.vm.memory.threads import count, new_thread, place_of, threads
 from lfield.vm.scheduler import Scheduler
 
 _RESTARTED = (
@@ -185,7 +185,7 @@ def _thread(
         for i, place in zip(references, copies, strict=True):
             into[i] = place
     into[0] = block.w[W_SELF]
-    return scheduler.spawn(resource, method, into, number)
+    return new_thread(block, scheduler.templates[method], into, number)
 
 
 def serve(

@@ -20,7 +20,16 @@ from lfield.vm.inspect import traceback
 from lfield.vm.memory import layout
 from lfield.vm.memory.block import Block, Full
 from lfield.vm.memory.collector import collect
-from lfield.vm.memory.layout import ARRAY, CALLING, DEAD, OBJECT, THREAD_CALL, THREAD_PC, THREAD_STATE
+from lfield.vm.memory.layout import (
+    ARRAY,
+    CALLING,
+    DEAD,
+    OBJECT,
+    THREAD_CALL,
+    THREAD_PC,
+    THREAD_STATE,
+    Layouts,
+)
 from lfield.vm.memory.parcels import parcel_made
 from lfield.vm.memory.threads import new_thread, place_of, thread_template, threads, unlink
 from lfield.vm.memory.values import new_exception
@@ -74,7 +83,7 @@ class Scheduler:
         #: By method, which arguments are references (1: the first after the object itself).
         self.reference_arguments = [_references(program, method) for method in program.core.methods]
         #: By method, what a thread that runs it looks like at first.
-        self._threads: dict[int, memoryview[int]] = {}
+        self.templates = _Templates(program, self.layouts)
 
     # --- time -----------------------------------------------------------------------------------------
 
@@ -124,13 +133,7 @@ class Scheduler:
 
     def spawn(self, agent: Agent, method: int, words: list[int], call: int) -> int:
         """A thread of an agent, not yet in the queue; raises Full."""
-        template = self._threads.get(method)
-        if template is None:
-            record = self.program.core.methods[method]
-            entry = record.entry if record.synchronized else record.entry + 1
-            template = thread_template(method, self.layouts.frame_words[method], entry)
-            self._threads[method] = template
-        return new_thread(agent.block, template, words, call)
+        return new_thread(agent.block, self.templates[method], words, call)
 
     def open(self, agent: Agent) -> None:
         """A resource came to its first pause: calls that waited for it begin."""
@@ -326,6 +329,19 @@ class Scheduler:
         """Write what a thread has left of a line."""
         if rest := agent.lines.pop(thread, ""):
             self.world.write(agent, rest)
+
+
+class _Templates(dict[int, "memoryview[int]"]):
+    """Made when they are first wanted."""
+
+    def __init__(self, program: Program, layouts: Layouts) -> None:
+        self._program, self._layouts = program, layouts
+
+    def __missing__(self, method: int) -> memoryview[int]:
+        record = self._program.core.methods[method]
+        entry = record.entry if record.synchronized else record.entry + 1
+        self[method] = made = thread_template(method, self._layouts.frame_words[method], entry)
+        return made
 
 
 def _references(program: Program, method: MethodRecord) -> tuple[int, ...]:

@@ -67,7 +67,7 @@ DEPLOYMENT = """
 MINE = ("victim", "vnear", "vfar")
 
 IN_A_TURN = [
-    (Machine, "_outside"), (Machine, "_done"), (Machine, "_turn"), (Machine, "pack"),
+    (Machine, "_done"), (Machine, "_turn"), (Machine, "pack"),
     (Engine, "run"), (Engine, "complete"), (Engine, "throw"),
     (Scheduler, "complete"), (Scheduler, "with_room"), (Scheduler, "open"),
     (Scheduler, "throw"), (Scheduler, "standing"), (Scheduler, "spawn"), (Scheduler, "flush"),

@@ -82,6 +82,8 @@ class Coordinators:
         self._answers: list[tuple[str, mobile.Send]] = []
         #: Coordinators that came before the resources here were started; None once they are.
         self._early: dict[tuple[str, int], tuple[str, Transfer, memoryview]] | None = {}
+        #: The block that was packed just now, to leave at once if there is a link.
+        self._packed: memoryview | None = None
         #: Where each coordinator was last sent.
         self._sent_to: dict[str, str] = {}
         #: When mobility may have something to give up. A new deadline is later than those before, so one that
@@ -224,6 +226,7 @@ class Coordinators:
                 return
             since -= absent.away(target)
         self.carry_out(self.mobility.depart(agent.id, target, self._sealer(agent), since))
+        self._packed = None
         if self._due is None:
             self._due = self.mobility.next_deadline()
 
@@ -267,12 +270,13 @@ class Coordinators:
         self.carry_out(self.mobility.ended(agent.id, agent.generation, outcome, agent.report))
 
     def _sealer(self, agent: Agent) -> Callable[[int], Buffer]:
-        image = self._machine.pack(agent)
+        image = self._packed = self._machine.pack(agent)
 
         def seal(sequence: int) -> Buffer:
             agent.block.w[layout.W_SEQUENCE] = sequence
-            # It may have waited for long since it was packed, and its time limits go on.
-            self._machine.note_clock(agent)
+            if self._packed is not image:
+                # It has waited since it was packed, perhaps for long, and its time limits go on.
+                self._machine.note_clock(agent)
             return image
 
         return seal
@@ -312,6 +316,7 @@ class Coordinators:
         recovered = agent.block.w[layout.W_GENERATION] != copy.generation
         agent.block.w[layout.W_HOPS], agent.block.w[layout.W_GENERATION] = copy.hops, copy.generation
         seal = self._sealer(agent)
+        self._packed = None
         if runs:
             self.say(f"{copy.agent} goes on where it was kept")
         if runs and not recovered and self._machine.goes_on(agent):
