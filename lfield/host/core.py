@@ -35,6 +35,7 @@ from lfield.mobility.fates import Fate
 from lfield.mobility.hearsay import Hearsay
 from lfield.mobility.neighbours import Neighbourhood
 from lfield.vm.agent import Agent
+from lfield.vm.contract import Engines
 from lfield.vm.machine import Machine
 from lfield.wire.coordinators import Ended, EndedAck, Known, Transfer
 from lfield.wire.messages import Control, Heard, Hello, Report, Room
@@ -71,6 +72,7 @@ class HostCore:
         memory: int = 0,
         pages: Iterable[Page] = (),
         times: Mapping[Key, float] | None = None,
+        engines: Engines | None = None,
     ) -> None:
         self.mission, self.team, self.name, self.incarnation = mission, mission.team, name, incarnation
         self.here = self.team.number(name)
@@ -87,6 +89,7 @@ class HostCore:
             clock,
             dice,
             mission.fenced,
+            engines,
         )
         own = self._hello([])
         self.coordinators = team = Coordinators(

@@ -26,6 +26,7 @@ from lfield.devices.measuring import insist
 from lfield.errors import AddressError, DeviceError, HostFailure, OutputFileError
 from lfield.host.core import HostCore
 from lfield.host.effects import Call, CancelCall, Complain, Died, Effect, Keep, MakeSafe, Reach, Say, Write
+from lfield.host.engines import engines_for
 from lfield.host.logbook import Logbook
 from lfield.host.scribe import Scribe
 from lfield.host.status import status_of
@@ -62,8 +63,8 @@ class Options:
     """How a host is run. `listen` is the address to listen on, `door` the one for observers of this computer.
 
     `journal` keeps what this host has of coordinators; without one that is gone with its process, and all
-    hosts are heard before any is started. `first_start`: somebody says that there was no start before. Times
-    are in seconds.
+    hosts are heard before any is started. `first_start`: somebody says that there was no start before.
+    `engine` is one of `lfield.vm.wasm.choice.CHOICES`. Times are in seconds.
     """
 
     listen: str
@@ -74,6 +75,7 @@ class Options:
     dice: random.Random = field(default_factory=random.Random)
     journal: Journal | None = None
     first_start: bool = False
+    engine: str = "reference"
 
 
 class Host:
@@ -112,6 +114,7 @@ class Host:
             self.scribe.memory,
             self.scribe.pages,
             self.scribe.times,
+            engines_for(options.engine, self.note),
         )
         self._visitors = Visitors(
             self.core, self.guards, self.clock, self._enter, self.status, self.note, self.scribe.all_kept

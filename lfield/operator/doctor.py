@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import ctypes
 import grp
+import importlib
+import importlib.metadata
 import os
 import pwd
 import sys
@@ -26,6 +28,7 @@ from lfield.driver.known import Drivers
 from lfield.driver.plugin import load_plugin
 from lfield.driver.plugins import Plugins
 from lfield.errors import DevicesError
+from lfield.vm.wasm.choice import has_wasm
 
 #: Serial ports that robots have: USB adapters, boards with native USB, the pins of a Raspberry Pi or Jetson.
 PORTS = ("ttyUSB*", "ttyACM*", "ttyAMA*", "ttyTHS*", "serial0")
@@ -51,12 +54,28 @@ class Finding:
 def system(plugins: Plugins, root: Path = Path("/")) -> Iterator[Finding]:
     """Everything that can be seen without a mission. `root` is where /dev and /sys are, for tests."""
     yield Finding("ok", f"Python {sys.version.split()[0]}, {os.cpu_count()} processors")
+    yield engine()
     for problem in plugins.problems:
         yield Finding("problem", problem, "install that driver again, or uninstall it")
     yield from _serial(root)
     yield from _can(root)
     yield _clock()
     yield _promptness()
+
+
+def engine() -> Finding:
+    """Whether programs can be run as WebAssembly here."""
+    if not has_wasm():
+        what = "the reference engine runs programs: wasmtime is not installed"
+        return Finding(
+            "note", what, "pip install 'lfield[wasm]': loops and calls run a hundred times as fast"
+        )
+    try:
+        version = importlib.metadata.version("wasmtime")
+        importlib.import_module("wasmtime")
+    except (ImportError, OSError) as error:
+        return Finding("warning", f"wasmtime cannot be used: {error}", "install it again for this processor")
+    return Finding("ok", f"wasmtime {version} runs programs")
 
 
 def drivers(plugins: Plugins, used: Collection[str] = ()) -> Iterator[Finding]:

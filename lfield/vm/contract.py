@@ -7,11 +7,16 @@ another in the middle of an execution. All that engines share is this file and t
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 from msgspec import Struct
 
-from lfield.bytecode.program import BOOLEAN, INT, REAL
+from lfield.bytecode.program import BOOLEAN, INT, REAL, Program, Quad
+from lfield.vm.memory.block import Block
+from lfield.vm.memory.layout import Layouts
+from lfield.vm.memory.space import Space
 
 #: The kinds of values that are one word and need no room on a heap.
 PLAIN = (BOOLEAN, INT, REAL)
@@ -63,6 +68,10 @@ class Spent(Exit, frozen=True):
     """The budget is used up; the thread can go on."""
 
 
+class Stopped(Exit, frozen=True):
+    """The thread has come to an instruction where its engine was asked to stop."""
+
+
 class Blocked(Exit, frozen=True):
     """Another thread of the agent holds the monitor; the instruction runs again later."""
 
@@ -91,6 +100,21 @@ class NoRoom(Exit, frozen=True):
     words: int
 
 
+@dataclass(frozen=True, slots=True)
+class Group:
+    """A prepared group: its head, the slot its result goes to (-1: none), and the instruction after it.
+
+    `kind` is the type kind of the result, as in bytecode.program. `parks` is true for the `yield` of
+    `while (true) yield();`.
+    """
+
+    head: Quad
+    destination: int
+    after: int
+    kind: int
+    parks: bool
+
+
 class Trap(Exception):
     """What cannot be done and becomes an L exception of the class `kind`."""
 
@@ -100,4 +124,56 @@ class Trap(Exception):
 
 
 SPENT = Spent()
+STOPPED = Stopped()
 BLOCKED = Blocked()
+
+
+class Engine(Protocol):
+    """Runs threads of blocks of one program. Keeps nothing between two runs: another one may go on."""
+
+    #: How many times as much as the reference engine it does before the world is looked at.
+    pace: int
+
+    @property
+    def space(self) -> Space:
+        """Where the blocks that it runs best have their bytes."""
+
+    @property
+    def layouts(self) -> Layouts:
+        """Where references are, for the collector and the copier."""
+
+    @property
+    def groups(self) -> Mapping[int, Group]:
+        """The groups of the program, by their first instruction."""
+
+    @property
+    def asked(self) -> bool:
+        """Whether the last run has read what is beyond the block."""
+
+    @property
+    def unused(self) -> int:
+        """How many instructions of its budget the last run has not used."""
+
+    def run(
+        self,
+        block: Block,
+        thread: int,
+        budget: int,
+        limits: Limits,
+        readings: Sequence[Reading | None] = (),
+    ) -> Exit:
+        """Run the thread at `thread` for at most `budget` instructions; `readings` are by device call.
+
+        On return the thread's frame and pc in the block are where it will go on: behind what is done, or at
+        the instruction (the group) that could not be done here.
+        """
+
+    def complete(self, block: Block, thread: int, word: int) -> None:
+        """Give the group the thread stands at its result; the thread goes on behind it."""
+
+    def throw(self, block: Block, thread: int, thrown: int) -> bool:
+        """Throw the object at `thrown` where the thread stands; false when nobody catches it."""
+
+
+#: Makes an engine for a program. It judges readings by the clock it is given.
+Engines = Callable[[Program, Callable[[], float]], Engine]

@@ -20,7 +20,19 @@ from lfield.vm.agent import Agent, Member
 from lfield.vm.asking.questions import Questions
 from lfield.vm.begun import Begun
 from lfield.vm.cancelling import CANCELLED, Cancelling
-from lfield.vm.contract import Blocked, Done, Exit, Limits, NoRoom, Outside, Reading, Spent, Thrown, Trap
+from lfield.vm.contract import (
+    Blocked,
+    Done,
+    Engines,
+    Exit,
+    Limits,
+    NoRoom,
+    Outside,
+    Reading,
+    Spent,
+    Thrown,
+    Trap,
+)
 from lfield.vm.limits import TimeLimits
 from lfield.vm.memory import layout
 from lfield.vm.memory.block import Block
@@ -31,6 +43,7 @@ from lfield.vm.memory.soundness import Soundness
 from lfield.vm.memory.threads import place_of
 from lfield.vm.memory.values import word_for
 from lfield.vm.outside import Outsiders
+from lfield.vm.reference import Engine
 from lfield.vm.reserve.heads import Reserving
 from lfield.vm.reserve.held import Held
 from lfield.vm.scheduler import Scheduler
@@ -42,7 +55,8 @@ from lfield.vm.world import World
 #: Instructions a thread may run before the next one's turn.
 SLICE = 2000
 #: How much one call of `run` does before it lets the host look at the world: the instructions of so many
-#: slices, in so many turns at most. Who calls portals has many turns, and each of them does little.
+#: slices, on the reference engine, in so many turns at most. Who calls portals has many turns, and each of
+#: them does little.
 ROUND, TURNS = 20, 100
 
 
@@ -52,7 +66,7 @@ class Machine:
     `team` is every agent of the deployment in its order, `here` this host's number in it, `life` a number
     that tells this life of the host from all others; `fenced` are the coordinators that begin no portal
     unasked. An exception that is none of L's, a bug of ours, ends the agent in whose turn it happened, with a
-    report.
+    report. `engines` makes what runs the program: the reference engine, if nothing is said.
     """
 
     def __init__(
@@ -65,12 +79,13 @@ class Machine:
         clock: Clock,
         dice: random.Random,
         fenced: Collection[str] = (),
+        engines: Engines | None = None,
     ) -> None:
         self.program = program
         self.team = team
         self._here, self._world, self._fenced = here, world, fenced
         self._scheduler = scheduler = Scheduler(
-            program, 1 + life % (layout.START_LIMIT - 1), world, clock, self._portal_failed
+            program, 1 + life % (layout.START_LIMIT - 1), world, clock, self._portal_failed, engines or Engine
         )
         #: The agents that are here, by id.
         self.agents = scheduler.agents
@@ -82,7 +97,8 @@ class Machine:
         cancelling = self._cancelling = Cancelling(scheduler)
         self._liveness = Liveness(program, scheduler.layouts)
         self.questions = Questions(scheduler)
-        self._soundness = Soundness(program, scheduler.layouts, [member.type for member in team])
+        types = [member.type for member in team]
+        self._soundness = Soundness(program, scheduler.layouts, types, self.engine.space)
         begun = self._begun = BegunCalls(scheduler, cancelling, self._soundness)
         #: The calls that were begun here, by what is told of them (see `BegunCalls`).
         self.begun_calls, self.fetched, self.kept_result = begun.calls, begun.fetched, begun.kept
@@ -111,7 +127,7 @@ class Machine:
     def start(self, member: Member, limits: Limits, generation: int) -> Agent:
         """Create an agent and the thread of its init; it runs at the next `run`."""
         record = self.program.class_index[member.type]
-        block = Block.empty(self.program.digest, limits.heap // 8)
+        block = Block.empty(self.program.digest, limits.heap // 8, self.engine.space)
         readings: list[Reading | None] = [None] * len(self.program.core.device_calls)
         agent = Agent(member, block, limits, readings, open=member.kind == "coordinator")
         agent.fenced = member.id in self._fenced
@@ -301,13 +317,15 @@ class Machine:
         turns, ready = self._turns, self._turns.ready
         if turns.timed:
             self._wake()
-        left = ROUND * SLICE
+        left = ROUND * SLICE * self.engine.pace
         for _ in range(TURNS):
             if not ready or left <= 0:
                 break
             agent, thread = ready.popleft()
+            # Nobody else can become ready: the rest of the round is all this thread's, so it has it at once.
+            alone = not (ready or agent.pollers or agent.blocked or self.attached.meter)
             try:
-                left -= self._turn(agent, thread)
+                left -= self._turn(agent, thread, max(left, SLICE) if alone else SLICE)
             except Exception as error:
                 self._break(agent, thread, error)
         return turns.pause()
@@ -330,15 +348,15 @@ class Machine:
             # Where it stood cannot even be told; whoever waits for it must hear all the same.
             self._scheduler.die(agent, reason)
 
-    def _turn(self, agent: Agent, thread: int) -> int:
-        """One slice of one thread, and whatever its exit asks for; how many instructions it has taken."""
+    def _turn(self, agent: Agent, thread: int, budget: int) -> int:
+        """So many instructions of one thread, and whatever its exit asks for; how many it has taken."""
         if agent.ended or agent.frozen:
             return 0
         scheduler = self._scheduler
         block = agent.block
         place = place_of(block, thread)
-        leave = self.engine.run(block, place, SLICE, agent.limits, agent.readings)
-        used = SLICE - self.engine.unused
+        leave = self.engine.run(block, place, budget, agent.limits, agent.readings)
+        used = budget - self.engine.unused
         if self.attached.meter is not None:
             self.attached.meter(used)
         if agent.polls and self.engine.asked:

@@ -134,7 +134,7 @@ class Outsiders:
     def _yield(self, agent: Agent, thread: int, operand: int, words: list[int]) -> None:
         scheduler = self._scheduler
         place = place_of(agent.block, thread)
-        parks = scheduler.engine.group(scheduler.standing(agent, thread)).parks
+        parks = scheduler.engine.groups[scheduler.standing(agent, thread)].parks
         scheduler.engine.complete(agent.block, place, 0)
         scheduler.open(agent)
         if parks:

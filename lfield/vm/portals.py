@@ -278,7 +278,7 @@ def _return(scheduler: Scheduler, resource: Agent, caller: Agent, waiter: int, w
         return
     w = caller.block.w
     place = place_of(caller.block, waiter)
-    if word and scheduler.engine.group(w[place + THREAD_PC]).kind in REFERENCES:
+    if word and scheduler.engine.groups[w[place + THREAD_PC]].kind in REFERENCES:
         scheduler.complete(
             caller, waiter, lambda: deep_copy(resource.block, [word], caller.block, scheduler.layouts)[0]
         )

@@ -15,7 +15,7 @@ from lfield.clock import Clock
 from lfield.vm.agent import Agent
 from lfield.vm.attached import Attached
 from lfield.vm.begun import Begun, Key
-from lfield.vm.contract import Trap
+from lfield.vm.contract import Engines, Trap
 from lfield.vm.inspect import traceback
 from lfield.vm.memory import layout
 from lfield.vm.memory.block import Block, Full
@@ -33,7 +33,6 @@ from lfield.vm.memory.layout import (
 from lfield.vm.memory.parcels import parcel_made
 from lfield.vm.memory.threads import new_thread, place_of, thread_template, threads, unlink
 from lfield.vm.memory.values import new_exception
-from lfield.vm.reference import Engine
 from lfield.vm.turns import Turns
 from lfield.vm.world import World
 
@@ -55,12 +54,13 @@ class Scheduler:
         world: World,
         clock: Clock,
         failed: Callable[[Agent, int, int, int], None],
+        engines: Engines,
     ) -> None:
         self.program = program
         self.life = life
         self.world = world
         self.clock = clock
-        self.engine = Engine(program, clock.monotonic)
+        self.engine = engines(program, clock.monotonic)
         self.layouts = self.engine.layouts
         self.agents: dict[str, Agent] = {}
         #: Those of them whose `init` has not come to its first pause.

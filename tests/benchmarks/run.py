@@ -15,6 +15,7 @@ FIGURES = {
     "journal": "hops.journal",
     "engine": "machine.engine",
     "collector": "machine.collector",
+    "heaps": "machine.heaps",
     "start": "machine.start",
     "memory": "machine.memory",
     "idle": "machine.idle",

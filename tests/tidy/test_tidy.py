@@ -49,14 +49,19 @@ SMALL = {
     "lfield/testing/reports.py": "the guard's end of a driver, for tests",
     "lfield/text/findings.py": "the table class of all findings",
     "lfield/text/values.py": "values of devices in words",
-    "lfield/vm/memory/copier.py": "the deep copy",
+    "lfield/vm/maths/library.py": "which instruction is which function, a table",
+    "lfield/vm/wasm/calls.py": "how Python calls WebAssembly",
+    "lfield/vm/wasm/runtime/functions.py": "the runtime's text and its functions",
     "lfield/vm/memory/parcels.py": "what waits to be fetched, as bytes",
 }
 
 
 #: Names that begin with an underscore and are documented for others: named tuples', python-can's, asyncio's
-#: for those who make loops.
-DOCUMENTED = {"_replace", "_asdict", "_recv_internal", "_get_running_loop", "_set_running_loop"}
+#: for those who make loops, wasmtime's for those who call without its conversions.
+DOCUMENTED = {
+    *("_replace", "_asdict", "_recv_internal", "_get_running_loop", "_set_running_loop"),
+    *("_context", "_func", "_from_ptr"),
+}
 
 
 def files(*folders: str) -> list[Path]:

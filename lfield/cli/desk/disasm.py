@@ -1,4 +1,7 @@
-"""`lfield disasm FILE`: lists a program: of a program file, of L text, of a deployment or bundle."""
+"""`lfield disasm FILE`: lists a program: of a program file, of L text, of a deployment or bundle.
+
+With `--wasm` it is what the engine in WebAssembly is given.
+"""
 
 from __future__ import annotations
 
@@ -14,6 +17,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=Path,
         help="a program file, L text, a deployment or a bundle",
     )
+    parser.add_argument("--wasm", action="store_true", help="as WebAssembly text, just as it is run")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -21,5 +25,12 @@ def run(args: argparse.Namespace) -> int:
     from lfield.bytecode.disassemble import disassemble
     from lfield.mission.load import load_program
 
-    print(disassemble(load_program(args.file)), end="")
+    program = load_program(args.file)
+    if args.wasm:
+        from lfield.vm.reference.prepare import prepare
+        from lfield.vm.wasm.lower.module import module
+
+        print(module(prepare(program)).text, end="")
+    else:
+        print(disassemble(program), end="")
     return 0

@@ -71,6 +71,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="this host has never started its coordinators before, and need not hear all others first",
     )
     parser.add_argument(
+        "--engine",
+        choices=("auto", "wasm", "reference"),
+        default="auto",
+        help="what runs the program: WebAssembly or the reference engine (auto, the default: the faster)",
+    )
+    parser.add_argument(
         "--trust-network",
         action="store_true",
         help="listen beyond this machine without keys: whoever reaches the port controls the robots",
@@ -182,6 +188,7 @@ def _run_one(mission: Mission, args: argparse.Namespace) -> int:
                 leash=args.leash,
                 journal=journal,
                 first_start=args.first_start,
+                engine=args.engine,
             )
         )
 

@@ -45,11 +45,13 @@ async def run_host(
     leash: bool = False,
     journal: Journal | None = None,
     first_start: bool = False,
+    engine: str = "auto",
 ) -> int:
     """Run a host; returns the exit status (exits.py). `lost_after` None runs until it is stopped.
 
     `journal` is closed when it ends; without one it starts its coordinators when it has heard all hosts.
-    `door` is the address where commands of this computer find it.
+    `door` is the address where commands of this computer find it. `engine` says what runs the program
+    (`lfield.vm.wasm.choice`).
 
     Raises AddressError and DevicesError when it cannot start.
     """
@@ -57,7 +59,9 @@ async def run_host(
     if not (listen or trust_network):
         await stay_here(name, address)
     bound = unreachable_after or mission.bindings.unreachable_after
-    host_options = Options(address, dump, bound, door, journal=journal, first_start=first_start)
+    host_options = Options(
+        address, dump, bound, door, journal=journal, first_start=first_start, engine=engine
+    )
     logbook = Logbook()
     host = Host(mission, name, TcpTransport(mission.max_block), logbook, host_options)
     host.on_failure = _end_by_force_after(mission)

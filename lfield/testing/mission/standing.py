@@ -139,6 +139,6 @@ def _holder(life: Life, agent: Agent) -> str:
 
 def _instruction(life: Life, agent: Agent, place: int) -> str:
     """The instruction of a device that a thread waits for."""
-    group = life.core.machine.engine.group(agent.block.w[place + THREAD_PC])
+    group = life.core.machine.engine.groups[agent.block.w[place + THREAD_PC]]
     call = life.core.mission.program.core.device_calls[group.head.a]
     return f"{call.field}.{call.instruction}()"

@@ -13,6 +13,7 @@ from lfield.errors import MissionTestError
 from lfield.simulate.fleet import Life
 from lfield.testing.mission.fakes import FakeDevice
 from lfield.vm.contract import SPENT
+from lfield.vm.reference import Engine
 from lfield.vm.reference.registers import LEAVE, Registers, Step
 from lfield.wire.coordinators import Transfer
 
@@ -103,7 +104,9 @@ class Lines:
             self._stop_in(life, stop)
 
     def _stop_in(self, life: Life, stop: _Stop) -> None:
-        steps = life.core.machine.engine.prepared.steps
+        engine = life.core.machine.engine
+        assert isinstance(engine, Engine), "the simulator runs on the reference engine"
+        steps = engine.prepared.steps
         for place in stop.places:
             steps[place] = self._stopping(life, stop, steps[place])
 

@@ -8,6 +8,7 @@ from contextlib import contextmanager
 
 from lfield.vm.memory import layout
 from lfield.vm.memory.layout import HEADER_WORDS, STRING, header
+from lfield.vm.memory.space import SEPARATE, Buffer, Space
 
 #: Words of a new block; it grows with use.
 INITIAL_WORDS = 512
@@ -31,29 +32,30 @@ def template(kind: int, index: int, words: int) -> memoryview[int]:
 
 
 class Block:
-    """A block in memory: its bytes, seen as ints (`w`) and as reals (`r`).
+    """A block in memory: its bytes, seen as ints (`w`) and as reals (`r`), from a `space` that has more.
 
     `top` is the first unused word, `end` the first one that may not be used, `limit` the most words the heap
     may have. The views belong to the bytes of the moment: whoever collects or grows a block must take them
     again.
     """
 
-    __slots__ = ("data", "end", "limit", "r", "top", "w")
+    __slots__ = ("data", "end", "limit", "r", "space", "top", "w")
 
-    def __init__(self, data: bytearray, top: int, limit: int) -> None:
-        self.limit = limit
+    def __init__(self, data: Buffer, top: int, limit: int, space: Space = SEPARATE) -> None:
+        self.limit, self.space = limit, space
         self.replace(data, top)
 
     @classmethod
-    def empty(cls, digest: bytes, limit: int) -> Block:
+    def empty(cls, digest: bytes, limit: int, space: Space = SEPARATE) -> Block:
         """A block with a header and nothing on its heap."""
-        block = cls(bytearray(8 * INITIAL_WORDS), HEADER_WORDS, limit)
+        block = cls(space.room(8 * INITIAL_WORDS), HEADER_WORDS, limit, space)
+        block.w[:HEADER_WORDS] = _ZEROS[:HEADER_WORDS]
         block.w[layout.W_MAGIC] = layout.MAGIC | layout.VERSION << 32
         block.data[8 * layout.W_PROGRAM : 8 * layout.W_PROGRAM + 32] = digest
         block.w[layout.W_NEXT_THREAD] = 1
         return block
 
-    def replace(self, data: bytearray, top: int) -> None:
+    def replace(self, data: Buffer, top: int) -> None:
         """Let the block be these bytes from now on."""
         self.data = data
         self.top = top

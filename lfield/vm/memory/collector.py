@@ -8,39 +8,56 @@ from __future__ import annotations
 
 from lfield.vm.memory.block import INITIAL_WORDS, RESERVE_WORDS, Block
 from lfield.vm.memory.layout import HEADER_WORDS, MAGIC, ROOTS, VERSION, W_MAGIC, Layouts
+from lfield.vm.memory.space import Buffer
+
+_NEW_WORDS = memoryview(bytes(8 * HEADER_WORDS)).cast("q")
+
+#: Up to so many words a block grows only because it is filled often: 128 KiB.
+GENEROUS = 1 << 14
 
 
 def collect(block: Block, layouts: Layouts, room: int = 0) -> None:
     """Compact the block and leave at least `room` words free if its limit (and reserve) allows.
 
-    Every reference that lies outside the block (a thread's place, say) is wrong afterwards.
+    Whoever fills a small block again and again gets a larger one, up to GENEROUS, so that collections cost
+    little beside the work that makes the garbage. Every reference that lies outside the block (a thread's
+    place, say) is wrong afterwards.
     """
-    data, top = _compact(block, layouts)
-    wanted = max(INITIAL_WORDS, 2 * (top + room))
+    size = len(block.w)
+    # It is seldom of another size afterwards.
+    data, top = _compact(block, layouts, 8 * size)
+    wanted = max(INITIAL_WORDS, min(2 * size, GENEROUS), 2 * (top + room))
     most = block.limit if top + room <= block.limit else block.limit + RESERVE_WORDS
     words = max(top, min(wanted, most))
-    data.extend(bytes(max(0, 8 * words - len(data))))
-    del data[8 * words :]
-    block.replace(data, top)
+    block.replace(block.space.sized(data, 8 * words), top)
 
 
 def compact(block: Block, layouts: Layouts) -> None:
     """Compact the block and leave no room at all: it is about to travel."""
     data, top = _compact(block, layouts)
-    del data[8 * top :]
-    block.replace(data, top)
+    block.replace(block.space.sized(data, 8 * top), top)
 
 
-def _compact(block: Block, layouts: Layouts) -> tuple[bytearray, int]:
+def _compact(block: Block, layouts: Layouts, least: int = 0) -> tuple[Buffer, int]:
     """A copy of the block with only what is alive, and its top. Spoils the block's own bytes.
 
-    The copy has the header of this version: what is new in it is 0.
+    It has room for `least` bytes. It has the header of this version: what is new in it is 0.
     """
     old = block.w
-    data = bytearray(8 * (block.top + HEADER_WORDS - block.heap))
+    data = block.space.room(max(least, 8 * (block.top + HEADER_WORDS - block.heap)))
     new = memoryview(data).cast("q")
     new[: block.heap] = old[: block.heap]
+    new[block.heap : HEADER_WORDS] = _NEW_WORDS[block.heap :]
     new[W_MAGIC] = MAGIC | VERSION << 32
+    top = block.space.collected(block.data, data, layouts)
+    if not top:
+        top = _copy(old, new, layouts)
+    new.release()
+    return data, top
+
+
+def _copy(old: memoryview[int], new: memoryview[int], layouts: Layouts) -> int:
+    """Copy what is alive behind the header that is in the new words; returns their top."""
     top = HEADER_WORDS
     scan = 0
     references: tuple[int, ...] | range = ROOTS
@@ -66,5 +83,4 @@ def _compact(block: Block, layouts: Layouts) -> tuple[bytearray, int]:
         head = new[scan]
         words = head >> 32
         references = layouts.references(head)
-    new.release()
-    return data, top
+    return top

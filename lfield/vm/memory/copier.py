@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from lfield.vm.memory.block import Block
+from lfield.vm.memory.block import Block, Full
 from lfield.vm.memory.layout import Layouts
 
 
@@ -13,6 +13,16 @@ def deep_copy(source: Block, roots: list[int], target: Block, layouts: Layouts) 
     anything. The words around the references are copied as they are, so both blocks must be of the same
     program.
     """
+    if not any(roots):
+        target.require(0)
+        return list(roots)
+    done = target.space.copied(source.data, source.top, roots, target.data, target.top, target.end, layouts)
+    if done is not None:
+        copies, top = done
+        if top < 0:
+            raise Full(-top)
+        target.top = top
+        return copies
     order, words = _closure(source, roots, layouts)
     target.require(words)
     w, into = source.w, target.w

@@ -6,12 +6,10 @@ a thing of the type its slot or field has, frames must form one chain that stand
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from lfield.bytecode.opcodes import BY_NAME
-from lfield.bytecode.program import ANY, PROXY, REFERENCES, RESERVED, STRING, TICKET, MethodRecord, Program
-from lfield.bytecode.program import ARRAY as ARRAY_TYPE
-from lfield.bytecode.program import OBJECT as OBJECT_TYPE
+from lfield.bytecode.program import RESERVED, MethodRecord, Program
 from lfield.errors import BlockError
 from lfield.vm.memory import layout
 from lfield.vm.memory.block import INITIAL_WORDS, Block
@@ -27,7 +25,6 @@ from lfield.vm.memory.layout import (
     OBJECT,
     PROXY_MEMBER,
     PROXY_START,
-    PROXY_WORDS,
     THREAD,
     THREAD_CALL,
     THREAD_FRAME,
@@ -35,24 +32,13 @@ from lfield.vm.memory.layout import (
     THREAD_NEXT,
     THREAD_PC,
     THREAD_STATE,
-    THREAD_WORDS,
     TICKET_NUMBER,
-    TICKET_REFERENCES,
-    TICKET_VALUE,
-    TICKET_WORDS,
     Layouts,
 )
 from lfield.vm.memory.parcels import WORD
+from lfield.vm.memory.shapes import SENTINEL, Shapes
+from lfield.vm.memory.space import SEPARATE, Space
 from lfield.vm.memory.tickets import check_ticket
-
-#: For a reference: the low half of the header its target must have, or one of these: any object, any thing of
-#: a kind, the sentinel of a `together`.
-ANY_OBJECT, ANY_PROXY, ANY_FRAME, ANY_ARRAY, ANY_TICKET, SENTINEL = range(-1, -7, -1)
-_KINDS = {ANY_PROXY: layout.PROXY, ANY_FRAME: FRAME, ANY_ARRAY: layout.ARRAY, ANY_TICKET: layout.TICKET}
-_TICKET_EXPECTS = dict(
-    zip(TICKET_REFERENCES, (ANY_PROXY, ANY_FRAME, ANY_ARRAY, ANY_OBJECT, ANY_TICKET), strict=True)
-)
-Expected = tuple[tuple[int, int], ...]
 
 STATES = len(layout.STATE_NAMES)
 #: More migrations than any coordinator makes; so that counting them never leaves a word.
@@ -60,6 +46,8 @@ MOST_HOPS = 1 << 48
 _MAGIC, _EARLIER_MAGIC, _OLD_MAGIC = (
     layout.MAGIC | version << 32 for version in (layout.VERSION, layout.EARLIER_VERSION, layout.OLD_VERSION)
 )
+#: The low half of no header.
+_NOTHING = 0xFF
 _WRONG = "wrong magic or version"
 _PUSH, _CALL = BY_NAME["push"].code, BY_NAME["call"].code
 #: Where coordinators leave, and where they are kept.
@@ -67,74 +55,30 @@ _TRAVELS = frozenset(BY_NAME[name].code for name in ("pcall", "start", "fetch", 
 
 
 class Soundness:
-    """The checks for blocks of one program; `members` are the types of the team's agents by number."""
+    """The checks for blocks of one program; `members` are the types of the team's agents by number.
 
-    def __init__(self, program: Program, layouts: Layouts, members: Sequence[str]) -> None:
-        self.program, self._layouts = program, layouts
+    A block that is sound has its bytes from `space`.
+    """
+
+    def __init__(
+        self, program: Program, layouts: Layouts, members: Sequence[str], space: Space = SEPARATE
+    ) -> None:
+        self.program, self._layouts, self._space = program, layouts, space
         self._portal_calls = _portal_calls(program)
-        #: The class index of every member of the team, by its number.
-        self.members = [self.program.class_index.get(name, -1) for name in members]
-        core = self.program.core
+        self.shapes = Shapes(program, layouts, members)
         #: The numbers of the resources.
         self._resources = {
-            i for i, of in enumerate(self.members) if of >= 0 and core.classes[of].kind == "resource"
+            i
+            for i, of in enumerate(self.shapes.members)
+            if of >= 0 and program.core.classes[of].kind == "resource"
         }
-        self._type_expects = [self._expected(i) for i in range(len(core.types))]
-        #: By the low half of a header: the size a thing must have (0: any), and what its references lead to.
-        self._sizes: dict[int, int] = {layout.STRING: 0, THREAD: THREAD_WORDS, layout.TICKET: TICKET_WORDS}
-        self._expects: dict[int, Expected] = {layout.STRING: (), THREAD: ()}
-        self._expects[layout.TICKET] = tuple(_TICKET_EXPECTS.items())
-        for i, record in enumerate(core.classes):
-            self._sizes[OBJECT | i << 8] = layouts.class_words[i]
-            self._sizes[layout.PROXY | i << 8] = PROXY_WORDS
-            self._expects[layout.PROXY | i << 8] = ()
-            self._expects[OBJECT | i << 8] = self._references([f.type for f in record.fields], 1)
-        for i, method in enumerate(core.methods):
-            self._sizes[FRAME | i << 8] = layouts.frame_words[i]
-            self._expects[FRAME | i << 8] = self._references(method.slots, FRAME_SLOTS)
-        for i, kind in enumerate(core.types):
-            if kind.kind == ARRAY_TYPE:
-                self._sizes[layout.ARRAY | i << 8] = 0
-                if self._type_expects[kind.of] is None:
-                    self._expects[layout.ARRAY | i << 8] = ()
-                self._sizes[layout.TICKET | i << 8] = TICKET_WORDS
-                self._expects[layout.TICKET | i << 8] = self._of_ticket(i, kind.of)
-
-    def _expected(self, kind: int) -> int | None:
-        """The expected header half for references of a type, None for types that hold none."""
-        record = self.program.core.types[kind]
-        if record.kind not in REFERENCES:
-            return None
-        if record.kind == STRING:
-            return layout.STRING
-        if record.kind == ARRAY_TYPE:
-            return layout.ARRAY | kind << 8
-        if record.kind == OBJECT_TYPE:
-            return layout.OBJECT | record.of << 8
-        if record.kind == PROXY:
-            return layout.PROXY | record.of << 8
-        if record.kind == TICKET:
-            return SENTINEL
-        return ANY_OBJECT if record.kind == ANY else 0
-
-    def _of_ticket(self, array: int, element: int) -> Expected:
-        """What the references of a ticket lead to whose target is in an array of a type (by index)."""
-        expects = {**_TICKET_EXPECTS, layout.TICKET_ARRAY: layout.ARRAY | array << 8}
-        value = self._type_expects[element]
-        return tuple((expects if value is None else {**expects, TICKET_VALUE: value}).items())
-
-    def _references(self, kinds: list[int] | tuple[int, ...], first: int) -> Expected:
-        pairs = ((first + i, self._type_expects[kind]) for i, kind in enumerate(kinds))
-        return tuple((offset, expected) for offset, expected in pairs if expected is not None)
 
     def check(self, image: bytes | bytearray | memoryview, limit: int) -> Block:
         """A travelling coordinator's block from its bytes (`limit` in words); raises BlockError."""
         block = self._adopt(image, limit)
         if block.w[layout.W_MAGIC] not in (_MAGIC, _EARLIER_MAGIC):
             raise BlockError(_WRONG, word=layout.W_MAGIC)
-        starts = self._walk(block, self._sizes)
-        self._check_references(block, starts)
-        self._check_coordinator(block, starts)
+        self._check_coordinator(block, self._things(block))
         if block.w[layout.W_MAGIC] == _EARLIER_MAGIC:
             # It is moved, and has the header of today afterwards.
             collect(block, self._layouts)
@@ -148,8 +92,7 @@ class Soundness:
             block = self._adopt(parcel, len(parcel) // 8)
             if block.w[layout.W_MAGIC] != _MAGIC:
                 return False
-            starts = self._walk(block, self._sizes)
-            self._check_references(block, starts)
+            starts = self._things(block)
         except BlockError:
             return False
         root = starts.get(block.w[layout.W_SELF], 0) & 0xFF
@@ -162,7 +105,7 @@ class Soundness:
         of 0.3 the second one of a proxy.
         """
         block = self._adopt(image, limit)
-        sizes = self._sizes
+        sizes = self.shapes.sizes
         if block.w[layout.W_MAGIC] == _OLD_MAGIC:
             sizes = {
                 half: PROXY_START if half & 0xFF == layout.PROXY else size for half, size in sizes.items()
@@ -208,11 +151,11 @@ class Soundness:
             raise BlockError(f"{size} bytes are over the limit of {8 * limit}")
         # Room for what it will soon need: what a portal gives it, say.
         words = min(limit, max(INITIAL_WORDS, size // 8 * 3 // 2))
-        data = bytearray(max(size, 8 * words))
+        data = self._space.room(max(size, 8 * words))
         data[:size] = image
-        block = Block(data, size // 8, limit)
+        block = Block(data, size // 8, limit, self._space)
         w = block.w
-        if block.data[8 * layout.W_PROGRAM : 8 * layout.W_PROGRAM + 32] != self.program.digest:
+        if bytes(block.data[8 * layout.W_PROGRAM : 8 * layout.W_PROGRAM + 32]) != self.program.digest:
             raise BlockError("it belongs to another program", word=layout.W_PROGRAM)
         if w[layout.W_TOP] != size // 8 or block.top < block.heap:
             raise BlockError("its size is not what it says", word=layout.W_TOP)
@@ -223,6 +166,19 @@ class Soundness:
         ):
             raise BlockError("its clock is not sound", word=layout.W_CLOCK)
         return block
+
+    def _things(self, block: Block) -> Mapping[int, int]:
+        """The places of all things, each with the low half of its header; all their references are sound."""
+        if block.heap == HEADER_WORDS:
+            found = block.space.walked(block.data, block.heap, block.top, self.shapes)
+            if found is not None:
+                known, tickets = found
+                for place in tickets:
+                    check_ticket(self.program, block.w, known, place)
+                return known
+        starts = self._walk(block, self.shapes.sizes)
+        self._check_references(block, starts)
+        return starts
 
     def _walk(self, block: Block, sizes: dict[int, int]) -> dict[int, int]:
         """The places of all things, each with the low half of its header."""
@@ -250,8 +206,8 @@ class Soundness:
 
     def _is_proxy(self, number: int, start: int, record: int) -> bool:
         return (
-            0 <= number < len(self.members)
-            and self.members[number] == record
+            0 <= number < len(self.shapes.members)
+            and self.shapes.members[number] == record
             and 0 <= start < layout.START_LIMIT
         )
 
@@ -265,17 +221,14 @@ class Soundness:
         return True
 
     def _check_references(self, block: Block, starts: dict[int, int]) -> None:
-        w, known = block.w, self._expects
-        for place, half in starts.items():
-            expects = known.get(half)
-            if expects is None:
-                expects = self._of_array(half, w[place] >> 32)
-            for offset, expected in expects:
+        w, shapes = block.w, self.shapes
+        for place in starts:
+            for offset, expected in shapes.references(w[place]):
                 target = w[place + offset]
                 if not target:
                     continue
-                found = starts.get(target, 0)
-                if found != expected and not self._is_kind(found, expected):
+                found = starts.get(target, _NOTHING)
+                if found != expected and not shapes.is_kind(found, expected):
                     raise BlockError("a reference leads to no thing of its type", word=place + offset)
                 if expected == SENTINEL and w[target + TICKET_NUMBER]:
                     raise BlockError("a together is held by one of its calls", word=place + offset)
@@ -285,25 +238,7 @@ class Soundness:
                     raise BlockError("its version knows no tickets", word=place)
                 check_ticket(self.program, w, starts, place)
 
-    def _is_kind(self, found: int, expected: int) -> bool:
-        """Whether what a reference leads to is of a kind, or an object of a class that is a kind of one."""
-        if expected == SENTINEL:
-            return found == layout.TICKET
-        if expected in _KINDS:
-            return found & 0xFF == _KINDS[expected]
-        if found & 0xFF != OBJECT:
-            return False
-        return expected == ANY_OBJECT or (
-            expected & 0xFF == OBJECT and expected >> 8 in self.program.kinds[found >> 8]
-        )
-
-    def _of_array(self, half: int, words: int) -> Expected:
-        """What the elements of an array of references must lead to."""
-        expected = self._type_expects[self.program.core.types[half >> 8].of]
-        assert expected is not None, "arrays without references are in the table"
-        return tuple((i, expected) for i in range(1, words))
-
-    def _check_coordinator(self, block: Block, starts: dict[int, int]) -> None:
+    def _check_coordinator(self, block: Block, starts: Mapping[int, int]) -> None:
         """One thread, its frames one chain, standing at the portal call it travels for."""
         w = block.w
         core = self.program.core
@@ -322,7 +257,7 @@ class Soundness:
             raise BlockError("its header is not sound", word=layout.W_OWNER)
         self._check_frames(w, starts, w[thread + THREAD_FRAME], w[thread + THREAD_PC])
 
-    def _check_frames(self, w: memoryview[int], starts: dict[int, int], frame: int, pc: int) -> None:
+    def _check_frames(self, w: memoryview[int], starts: Mapping[int, int], frame: int, pc: int) -> None:
         if pc not in self._portal_calls:
             raise BlockError("it does not stand at a portal call", word=frame)
         methods = self.program.core.methods

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 from lfield.bytecode.program import ANY, Program
 from lfield.bytecode.program import OBJECT as OBJECT_TYPE
 from lfield.errors import BlockError
@@ -78,7 +80,7 @@ def new_ticket(
     return place
 
 
-def check_ticket(program: Program, w: memoryview[int], starts: dict[int, int], place: int) -> None:
+def check_ticket(program: Program, w: memoryview[int], starts: Mapping[int, int], place: int) -> None:
     """Whether a ticket is sound; that its references lead to things of their types is known.
 
     `starts` has the low half of the header of everything on the heap. Raises BlockError.
@@ -102,20 +104,20 @@ def check_ticket(program: Program, w: memoryview[int], starts: dict[int, int], p
         raise BlockError("a ticket has a result before it is back", word=place)
 
 
-def _check_sentinel(w: memoryview[int], starts: dict[int, int], place: int) -> None:
+def _check_sentinel(w: memoryview[int], starts: Mapping[int, int], place: int) -> None:
     if starts[place] != TICKET or any(w[place + i] for i in range(1, TICKET_NEXT)):
         raise BlockError("what holds a together has a call of its own", word=place)
     _check_next(w, starts, place, COUNT_LIMIT)
 
 
-def _check_next(w: memoryview[int], starts: dict[int, int], place: int, number: int) -> None:
+def _check_next(w: memoryview[int], starts: Mapping[int, int], place: int, number: int) -> None:
     """Numbers fall along a chain, so that none is a circle."""
     before = w[place + TICKET_NEXT]
     if before and not 0 < w[before + TICKET_NUMBER] < number:
         raise BlockError("the tickets of a together are no chain", word=place)
 
 
-def _check_call(program: Program, w: memoryview[int], starts: dict[int, int], place: int) -> None:
+def _check_call(program: Program, w: memoryview[int], starts: Mapping[int, int], place: int) -> None:
     """The portal, the proxy that leads to its resource, and the frame that has its arguments."""
     method, call = w[place + TICKET_METHOD], w[place + TICKET_CALL]
     methods = program.core.methods
@@ -129,7 +131,7 @@ def _check_call(program: Program, w: memoryview[int], starts: dict[int, int], pl
         raise BlockError("the arguments of a ticket are not those of its portal", word=place)
 
 
-def _check_element(w: memoryview[int], starts: dict[int, int], place: int) -> None:
+def _check_element(w: memoryview[int], starts: Mapping[int, int], place: int) -> None:
     """The element that the result goes to."""
     array, index, kind = w[place + TICKET_ARRAY], w[place + TICKET_INDEX], starts[place] >> 8
     if not kind:
@@ -140,7 +142,7 @@ def _check_element(w: memoryview[int], starts: dict[int, int], place: int) -> No
         raise BlockError("the target of a ticket is no element of its array", word=place)
 
 
-def _check_result(program: Program, w: memoryview[int], starts: dict[int, int], place: int) -> None:
+def _check_result(program: Program, w: memoryview[int], starts: Mapping[int, int], place: int) -> None:
     """Whether the element, if there is one, can hold what the portal gives."""
     kind = starts[place] >> 8
     if not kind:

@@ -24,16 +24,28 @@ from lfield.vm.memory.layout import ARRAY, OBJECT, Layouts
 #: The longest message an exception made by the machine carries, in characters, and its room in words.
 MESSAGE_LENGTH = 1000
 EXCEPTION_WORDS = 16 + MESSAGE_LENGTH // 8
+_WORD, _INT = struct.Struct("<q").pack, struct.Struct("<q").unpack
+_REAL, _FLOAT = struct.Struct("<d").pack, struct.Struct("<d").unpack
 
 
 def real_of(word: int) -> float:
     """The real whose bits a word is."""
-    return float(struct.unpack("<d", struct.pack("<q", word))[0])
+    return float(_FLOAT(_WORD(word))[0])
+
+
+#: The bits of every NaN that L can make or be given; the four operations leave them open (decision 58).
+NAN_WORD = 0x7FF8 << 48
+NAN = real_of(NAN_WORD)
+
+
+def canonical(value: float) -> float:
+    """The same real, and always the same one for not a number."""
+    return value if value == value else NAN
 
 
 def word_of(value: float) -> int:
-    """The word that is a real's bits."""
-    return int(struct.unpack("<q", struct.pack("<d", value))[0])
+    """The word that is a real's bits; of whatever is not a number always the same."""
+    return int(_INT(_REAL(canonical(value)))[0])
 
 
 def real_text(value: float) -> str:

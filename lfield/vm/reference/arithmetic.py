@@ -1,7 +1,8 @@
 """Arithmetic, comparisons and logic (tables J.6 to J.8).
 
 Writing a number beyond 64 bits into the block fails by itself; the engine turns that failure into an
-ArithmeticException, so no step checks for overflow.
+ArithmeticException, so no step checks for overflow. What computes a real gives the one NaN that L has; moves,
+fields and elements leave all bits as they are.
 """
 
 from __future__ import annotations
@@ -12,7 +13,9 @@ from collections.abc import Callable
 from typing import Any
 
 from lfield.vm.contract import Trap
+from lfield.vm.maths.rounding import remainder
 from lfield.vm.memory.layout import PROXY_MEMBER
+from lfield.vm.memory.values import canonical
 from lfield.vm.reference.registers import Registers, Step
 
 Int2 = Callable[[int, int], int]
@@ -37,7 +40,7 @@ def _divide_real(a: float, b: float) -> float:
 def _remainder_real(a: float, b: float) -> float:
     if b == 0.0 or math.isinf(a):
         raise Trap("ArithmeticException", "remainder of a division by zero or of infinity")
-    return math.fmod(a, b)
+    return remainder(a, b)
 
 
 INT: dict[str, Int2] = {
@@ -119,7 +122,7 @@ def real_binary(function: Real2, a: int, b: int, c: int | None, constant: float,
 
     def step(m: Registers) -> int:
         r, slots = m.r, m.slots
-        r[slots + a] = function(r[slots + b], constant if c is None else r[slots + c])
+        r[slots + a] = canonical(function(r[slots + b], constant if c is None else r[slots + c]))
         return after
 
     return step
@@ -179,7 +182,7 @@ def real_negate(a: int, b: int | None, constant: float, after: int) -> Step:
     """`a = -b` on reals."""
 
     def step(m: Registers) -> int:
-        m.r[m.slots + a] = -(constant if b is None else m.r[m.slots + b])
+        m.r[m.slots + a] = canonical(-(constant if b is None else m.r[m.slots + b]))
         return after
 
     return step

@@ -6,15 +6,15 @@ result the same way.
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Callable
 from typing import Any
 
 from lfield.bytecode.program import EXCEPTIONS, MESSAGE, SOURCE
 from lfield.vm.contract import Trap
+from lfield.vm.maths.library import MATHS, has_result
 from lfield.vm.memory import layout
-from lfield.vm.memory.values import real_text
+from lfield.vm.memory.values import canonical, real_text
 from lfield.vm.reference.registers import Registers, null_use
 
 Function = Callable[..., Any]
@@ -85,31 +85,13 @@ def _digits(m: Registers, value: float, digits: int) -> int:
     return _made(m, f"{value:.{digits}f}")
 
 
-def _round(m: Registers, value: float) -> float:
-    if math.isnan(value) or math.isinf(value):
-        return value
-    whole = math.floor(abs(value))
-    return math.copysign(whole + (abs(value) - whole >= 0.5), value)
-
-
-def _smaller(a: float, b: float) -> float:
-    """The same in either order: not a number when one of them is none, and -0.0 is smaller than 0.0."""
-    if math.isnan(a) or math.isnan(b):
-        return math.nan
-    return math.copysign(a, min(math.copysign(1, a), math.copysign(1, b))) if a == b else min(a, b)
-
-
-def _whole(function: Callable[[float], int]) -> Function:
-    return lambda m, value: value if math.isnan(value) or math.isinf(value) else float(function(value))
-
-
 def _maths(name: str, function: Callable[..., float]) -> Function:
     def apply(m: Registers, *values: float) -> float:
-        try:
-            return function(*values)
-        except (ValueError, OverflowError, ZeroDivisionError):
+        result = function(*values)
+        if not has_result(values, result):
             given = ", ".join(real_text(v) for v in values)
-            raise Trap("ArithmeticException", f"{name}({given}) has no result") from None
+            raise Trap("ArithmeticException", f"{name}({given}) has no result")
+        return canonical(result)
 
     return apply
 
@@ -174,26 +156,11 @@ FUNCTIONS: dict[str, Function] = {
     "hops": lambda m: m.w[layout.W_HOPS],
     "heartbeat_interval": _heartbeat_interval,
     "abs_int": lambda m, value: abs(value),
-    "abs_float": lambda m, value: abs(value),
     "min_int": lambda m, a, b: min(a, b),
-    "min_float": lambda m, a, b: _smaller(a, b),
     "max_int": lambda m, a, b: max(a, b),
-    "max_float": lambda m, a, b: -_smaller(-a, -b),
-    "sqrt": _maths("sqrt", math.sqrt),
-    "sin": _maths("sin", math.sin),
-    "cos": _maths("cos", math.cos),
-    "tan": _maths("tan", math.tan),
-    "asin": _maths("asin", math.asin),
-    "acos": _maths("acos", math.acos),
-    "atan2": _maths("atan2", math.atan2),
-    "exp": _maths("exp", math.exp),
-    "log": _maths("log", math.log),
-    "pow": _maths("pow", math.pow),
-    "floor": _whole(math.floor),
-    "ceil": _whole(math.ceil),
-    "round": _round,
     "exc_message": _exception_text(MESSAGE),
     "exc_type": _exception_type,
     "exc_source": _exception_text(SOURCE),
     "exc_others": _exception_others,
+    **{name: _maths(name, function) for name, function in MATHS.items()},
 }

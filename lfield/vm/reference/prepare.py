@@ -2,35 +2,20 @@
 
 from __future__ import annotations
 
-import struct
 from dataclasses import dataclass
 from typing import Any
 
 from lfield.bytecode.opcodes import BY_CODE, BY_NAME, Opcode
 from lfield.bytecode.program import HELD, PROXY, REAL, VOID, DeviceCall, MethodRecord, Program, Quad
-from lfield.vm.contract import PLAIN, Trap
+from lfield.vm.contract import PLAIN, Group, Trap
 from lfield.vm.memory.layout import Layouts
+from lfield.vm.memory.values import word_of
 from lfield.vm.reference import arithmetic, calls, memory
 from lfield.vm.reference.calls import Argument
 from lfield.vm.reference.library import FUNCTIONS, Function
 from lfield.vm.reference.registers import Registers, Step
 
 _PUSH, _POP, _JMP = BY_NAME["push"].code, BY_NAME["pop"].code, BY_NAME["jmp"].code
-
-
-@dataclass(frozen=True, slots=True)
-class Group:
-    """A prepared group: its head, the slot its result goes to (-1: none), and the instruction after it.
-
-    `kind` is the type kind of the result, as in bytecode.program. `parks` is true for the `yield` of
-    `while (true) yield();`.
-    """
-
-    head: Quad
-    destination: int
-    after: int
-    kind: int
-    parks: bool
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,7 +38,7 @@ def prepare(program: Program) -> Prepared:
 def _bits(value: bool | int | float | str | None) -> int:
     """The word a constant is in a slot: reals by their bits, null as 0."""
     if isinstance(value, float):
-        return int(struct.unpack("<q", struct.pack("<d", value))[0])
+        return word_of(value)
     return int(value) if isinstance(value, int) else 0
 
 

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Container, Mapping, Sequence
 from itertools import repeat
 from operator import length_hint
 
 from lfield.bytecode.program import Program
-from lfield.vm.contract import SPENT, Exit, Limits, NoRoom, Reading, Thrown, Trap
+from lfield.vm.contract import SPENT, STOPPED, Exit, Group, Limits, NoRoom, Reading, Thrown, Trap
 from lfield.vm.memory.block import Block, Full
 from lfield.vm.memory.layout import (
     FRAME_SLOTS,
@@ -16,14 +16,18 @@ from lfield.vm.memory.layout import (
     THREAD_PC,
     Layouts,
 )
+from lfield.vm.memory.space import SEPARATE, Space
 from lfield.vm.memory.values import EXCEPTION_WORDS, new_exception
-from lfield.vm.reference.prepare import Group, Prepared, Raised, prepare
+from lfield.vm.reference.prepare import Prepared, Raised, prepare
 from lfield.vm.reference.registers import LEAVE, Registers
 from lfield.vm.reference.unwind import find_handler, unwind
 
 
 class Engine:
-    """Runs threads of blocks of one program. Keeps nothing between two calls of `run`."""
+    """Runs threads of blocks of one program, wherever their bytes are. Keeps nothing between two runs."""
+
+    space: Space = SEPARATE
+    pace = 1
 
     def __init__(self, program: Program, now: Callable[[], float]) -> None:
         self.program = program
@@ -39,9 +43,10 @@ class Engine:
         """Where references are, for the collector and the copier."""
         return self.prepared.layouts
 
-    def group(self, pc: int) -> Group:
-        """The group that begins at an instruction."""
-        return self.prepared.groups[pc]
+    @property
+    def groups(self) -> Mapping[int, Group]:
+        """The groups of the program, by their first instruction."""
+        return self.prepared.groups
 
     @property
     def asked(self) -> bool:
@@ -60,8 +65,11 @@ class Engine:
         budget: int,
         limits: Limits,
         readings: Sequence[Reading | None] = (),
+        stops: Container[int] | None = None,
     ) -> Exit:
         """Run the thread at `thread` for at most `budget` instructions; `readings` are by device call.
+
+        Where there are `stops`, at least one instruction is done, and none at a stop after that.
 
         On return the thread's frame and pc in the block are where it will go on: behind what is done, or at
         the instruction (the group) that could not be done here.
@@ -82,6 +90,9 @@ class Engine:
         while going:
             going = False
             try:
+                if stops is not None:
+                    at = pc = self._go_to(m, pc, stops)
+                    continue
                 for _ in instructions:
                     at = pc
                     pc = steps[at](m)
@@ -90,12 +101,27 @@ class Engine:
                 else:
                     at = pc
             except (Trap, Raised, Full, ValueError, ArithmeticError) as error:
-                m.pc = at
+                m.pc = at if stops is None else m.pc
                 going = self._recover(m, error)
                 at = pc = m.pc
+                if going and stops is not None and pc in stops:
+                    m.exit, going = STOPPED, False
         w[thread + THREAD_FRAME] = m.frame
         w[thread + THREAD_PC] = at
         return m.exit
+
+    def _go_to(self, m: Registers, pc: int, stops: Container[int]) -> int:
+        """Take steps until one leaves, comes to a stop, or the instructions are used up; where it came to."""
+        steps = self.prepared.steps
+        for _ in m.instructions:
+            m.pc = pc
+            pc = steps[pc](m)
+            if pc == LEAVE:
+                return m.pc
+            if pc in stops:
+                m.exit = STOPPED
+                break
+        return pc
 
     def _recover(self, m: Registers, error: Exception) -> bool:
         """Make an L exception of what a step raised, and go to who catches it; false to leave the engine."""

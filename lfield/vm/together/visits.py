@@ -98,7 +98,7 @@ class Visits:
     def _standing(self, agent: Agent) -> str:
         """The name of the head that a coordinator stands at, '' for none."""
         pc = agent.block.w[agent.block.w[layout.W_THREADS] + THREAD_PC]
-        group = self._scheduler.engine.prepared.groups.get(pc)
+        group = self._scheduler.engine.groups.get(pc)
         return BY_CODE[group.head.op].name if group is not None else ""
 
     def words(self, agent: Agent, thread: int) -> list[int]:
@@ -181,7 +181,7 @@ class Visits:
         words = self.words(agent, w[thread + THREAD_ID])
         if not words or not words[0]:
             return None
-        portal = self._scheduler.engine.group(w[thread + THREAD_PC]).head.a
+        portal = self._scheduler.engine.groups[w[thread + THREAD_PC]].head.a
         return self._team[w[words[0] + PROXY_MEMBER]], self._program.core.methods[portal].name
 
     def called(self, agent: Agent) -> str:

@@ -1,0 +1,89 @@
+"""Which engine a host runs its program on, and where the machine code is kept that it makes of it."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+
+from lfield.bytecode.program import Program
+from lfield.errors import OutputFileError, UsageError
+from lfield.text.private import read_private, write_private
+from lfield.vm.contract import Engine, Engines
+from lfield.vm.reference import Engine as Reference
+from lfield.vm.wasm.choice import MISSING, has_wasm
+
+#: Larger than the code of any program.
+_MOST = 256 << 20
+#: So many programs are kept, the last that were compiled.
+KEPT = 64
+
+Note = Callable[[str], None]
+
+
+def engines_for(choice: str, note: Note) -> Engines:
+    """What makes a machine's engine, of `lfield.vm.wasm.choice`; `note` takes lines for the log.
+
+    Raises UsageError where what was asked for cannot be had.
+    """
+    if choice == "wasm" and not has_wasm():
+        raise UsageError(MISSING)
+    if choice == "reference" or not has_wasm():
+        return Reference
+
+    def make(program: Program, now: Callable[[], float]) -> Engine:
+        try:
+            from lfield.vm.wasm.engine import Engine as Wasm
+
+            return Wasm(program, now, UserCache(code_folder(), note))
+        except (ImportError, OSError, MemoryError) as error:
+            # A wheel of another system, or a limit of addresses that leaves no room.
+            if choice == "wasm":
+                raise UsageError(f"the engine in WebAssembly cannot be used: {error}") from None
+            note(f"the reference engine runs the program: {error}")
+            return Reference(program, now)
+
+    return make
+
+
+def code_folder() -> Path:
+    """The folder for the machine code of programs, in the user's cache."""
+    base = os.environ.get("XDG_CACHE_HOME") or ""
+    return (Path(base) if os.path.isabs(base) else Path.home() / ".cache") / "lfield" / "code"
+
+
+class UserCache:
+    """Machine code in files of this user alone; others' are never read (`lfield.text.private`).
+
+    Without such a folder everything is compiled each time, which is all that is lost.
+    """
+
+    def __init__(self, folder: Path, note: Note) -> None:
+        self._folder, self._note = folder, note
+
+    def get(self, name: str) -> bytes | None:
+        """The content of the file with that name; None when there is none that could be believed."""
+        try:
+            return read_private(self._folder / name, _MOST)
+        except FileNotFoundError:
+            return None
+        except OSError as error:
+            self._note(f"the program is compiled again: {self._folder / name}: {error.strerror or error}")
+            return None
+
+    def put(self, name: str, data: bytes) -> None:
+        """Write the file, whole or not at all, and forget the oldest ones."""
+        with suppress(OutputFileError):
+            write_private(self._folder / name, data)
+            self._prune()
+
+    def damaged(self, name: str, reason: str) -> None:
+        """Say it in the log: the file is written again."""
+        self._note(f"the program is compiled again: {self._folder / name}: {reason}")
+
+    def _prune(self) -> None:
+        with suppress(OSError):
+            oldest = sorted(self._folder.iterdir(), key=lambda path: path.stat().st_mtime)[:-KEPT]
+            for path in oldest:
+                path.unlink(missing_ok=True)

@@ -1,0 +1,149 @@
+"""Random expressions of L, by type: what engines calculate, compare, read and make."""
+
+from __future__ import annotations
+
+import random
+
+from lfield.testing.fuzz.tree import Piece, written
+
+#: By type, what an expression of it can be: `#` with the types of its parts behind the last `|`. One with `!`
+#: is not the word null, one with `*` is a variable.
+_FORMS: dict[str, tuple[str, ...]] = {
+    "int": (
+        *("(# + #)|int int", "(# - #)|int int", "(# * #)|int int", "(# / #)|int int", "(# % #)|int int"),
+        *(
+            "(-#)|int",
+            "#.n|Node!",
+            "#.next.n|Node!",
+            "#[#]|int[]! int",
+            "#.length()|int[]!",
+            "#.length()|string!",
+        ),
+        *("#.indexOf(#)|string! string", "f2i(#)|real", "s2i(#)|string", "s2i(i2s(#))|int", "abs(#)|int"),
+        *("min(#, #)|int int", "max(#, #)|int int", "#.length()|Node[]!", "(# % 7)|int", "(# + 1)|int"),
+    ),
+    "real": (
+        *("(# + #)|real real", "(# - #)|real real", "(# * #)|real real", "(# / #)|real real"),
+        *(
+            "(# % #)|real real",
+            "(-#)|real",
+            "i2f(#)|int",
+            "#.r|Node!",
+            "#[#]|real[]! int",
+            "(# * #)|real int",
+        ),
+        *("sqrt(#)|real", "sin(#)|real", "cos(#)|real", "tan(#)|real", "asin(#)|real", "acos(#)|real"),
+        *("atan2(#, #)|real real", "exp(#)|real", "log(#)|real", "pow(#, #)|real real", "floor(#)|real"),
+        *("ceil(#)|real", "round(#)|real", "abs(#)|real", "min(#, #)|real real", "max(#, #)|real real"),
+        *("s2f(#)|string", "s2f(f2s(#))|real"),
+    ),
+    "boolean": (
+        *("(# < #)|int int", "(# <= #)|int int", "(# > #)|int int", "(# >= #)|int int", "(# == #)|int int"),
+        *(
+            "(# != #)|int int",
+            "(# < #)|real real",
+            "(# <= #)|real real",
+            "(# > #)|real real",
+            "(# >= #)|real real",
+        ),
+        *("(# == #)|real real", "(# != #)|real real", "(# == #)|string string", "(# != #)|string string"),
+        *(
+            "(# < #)|string string",
+            "(# <= #)|string string",
+            "(# > #)|string string",
+            "(# >= #)|string string",
+        ),
+        *(
+            "(# == #)|Node! Node",
+            "(# != #)|Node! Node",
+            "(# == null)|Node!",
+            "(# != null)|int[]!",
+            "(# == null)|string!",
+        ),
+        *("(!#)|boolean", "(# && #)|boolean boolean", "(# || #)|boolean boolean", "(# == #)|boolean boolean"),
+        *("(# != #)|boolean boolean", "#.b|Node!"),
+    ),
+    "string": (
+        *("(# + #)|string string", "#.substring(#, #)|string! int int", "i2s(#)|int", "f2s(#)|real"),
+        *("f2s(#, #)|real int", "b2s(#)|boolean", "#.s|Node!"),
+    ),
+    "Node": ("(new Node(#))|int", "#.next|Node!", "#[#]|Node[]! int"),
+    "int[]": ("(new int[#])|int", "#.a|Node!", "(new int[3])|"),
+    "real[]": ("(new real[#])|int", "(new real[4])|"),
+    "Node[]": ("(new Node[#])|int", "(new Node[2])|"),
+}
+
+_LITERALS: dict[str, tuple[str, ...]] = {
+    "int": (
+        "0",
+        "1",
+        "2",
+        "3",
+        "5",
+        "7",
+        "(-1)",
+        "(-3)",
+        "100",
+        "9223372036854775807",
+        "4611686018427387904",
+    ),
+    "real": ("0.0", "1.0", "0.5", "(-1.5)", "2.0", "1e308", "1e-300", "1e16", "3.0", "0.1", "7.25"),
+    "boolean": ("true", "false"),
+    "string": ('""', '"a"', '"ab"', '"größe"', '"12"', '"1e400"', '"-7"', '"x y"'),
+    "Node": ("null",),
+    "int[]": ("null",),
+    "real[]": ("null",),
+    "Node[]": ("null",),
+}
+
+#: What may stand in each place where a real is wanted and only the machine knows which.
+_STRANGE = ("(1e308 * 10.0)", "(1e308 * 10.0 - 1e308 * 10.0)", "(-1e308 * 10.0)")
+
+_REFERENCES = ("Node", "int[]", "real[]", "Node[]", "string")
+
+
+class Expressions:
+    """Draws expressions from dice and from the variables and calls that may be used."""
+
+    def __init__(
+        self,
+        dice: random.Random,
+        variables: dict[str, tuple[str, ...]],
+        calls: dict[str, tuple[str, ...]],
+    ) -> None:
+        self.dice, self._variables, self._calls = dice, variables, calls
+        #: Variables of loops, which may be read only.
+        self.counters: list[str] = []
+
+    def draw(self, kind: str, depth: int = 3) -> Piece:
+        """An expression of at most so many levels."""
+        chance = self.dice.random()
+        if depth <= 0 or chance < 0.35:
+            return self._leaf(kind)
+        if chance < 0.42 and kind in self._calls:
+            return self.form(kind, self.dice.choice(self._calls[kind]), depth - 1)
+        return self.form(kind, self.dice.choice(_FORMS[kind]), depth - 1)
+
+    def form(self, kind: str, row: str, depth: int) -> Piece:
+        """A form with its parts drawn."""
+        form, _, kinds = row.rpartition("|")
+        return written(kind, form, *(self._part(k, depth) for k in kinds.split()))
+
+    def _part(self, kind: str, depth: int) -> Piece:
+        """References that are used are variables mostly: what is null ends a statement soon."""
+        plain = kind.rstrip("!*")
+        if kind.endswith("*") or (plain in _REFERENCES and self.dice.random() < 0.75):
+            return self._variable(plain)
+        drawn = self.draw(plain, depth)
+        return self._variable(plain) if kind.endswith("!") and drawn.text() == "null" else drawn
+
+    def _leaf(self, kind: str) -> Piece:
+        if self.dice.random() < 0.7:
+            return self._variable(kind)
+        if kind == "real" and self.dice.random() < 0.15:
+            return Piece(kind, [self.dice.choice(_STRANGE)])
+        return Piece(kind, [self.dice.choice(_LITERALS[kind])])
+
+    def _variable(self, kind: str) -> Piece:
+        names = self._variables[kind] + (tuple(self.counters) if kind == "int" else ())
+        return Piece(kind, [self.dice.choice(names)])

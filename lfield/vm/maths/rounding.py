@@ -1,0 +1,92 @@
+"""What is exact: whole numbers, the smaller and the larger, the remainder of a division (tables J.7, J.9).
+
+Nothing here is rounded, so any computer has the same results; they are written out because WebAssembly has no
+remainder, and rounds with other signs of 0 than L.
+"""
+
+from __future__ import annotations
+
+from math import copysign, sqrt
+
+from lfield.vm.maths.constants import INFINITY
+from lfield.vm.maths.pairs import exponent, scaled
+from lfield.vm.memory.values import NAN, word_of
+
+#: From here on every real is whole.
+_WHOLE = 4503599627370496.0
+
+
+def floor(x: float) -> float:
+    """The next whole number down; 0.0 for -0.0."""
+    if not abs(x) < _WHOLE:
+        return x
+    whole = float(int(x))
+    return whole - 1.0 if whole > x else whole
+
+
+def ceil(x: float) -> float:
+    """The next whole number up; 0.0 for what is above -1."""
+    if not abs(x) < _WHOLE:
+        return x
+    whole = float(int(x))
+    return whole + 1.0 if whole < x else whole
+
+
+def round(x: float) -> float:
+    """The nearest whole number, halves away from zero; a 0 keeps the sign."""
+    if not abs(x) < _WHOLE:
+        return x
+    whole = float(int(abs(x)))
+    return copysign(whole + 1.0 if abs(x) - whole >= 0.5 else whole, x)
+
+
+def magnitude(x: float) -> float:
+    """Without the sign."""
+    return abs(x)
+
+
+def root(x: float) -> float:
+    """The square root; not a number below 0."""
+    return sqrt(x) if x >= 0.0 else NAN
+
+
+def smaller(a: float, b: float) -> float:
+    """The same in either order: not a number when one of them is none, and -0.0 is smaller than 0.0."""
+    if a != a or b != b:
+        return NAN
+    if a == b:
+        return a if copysign(1.0, a) < 0.0 else b
+    return a if a < b else b
+
+
+def larger(a: float, b: float) -> float:
+    """As `smaller`."""
+    return -smaller(-a, -b)
+
+
+def remainder(a: float, b: float) -> float:
+    """What is left of a when b is taken from it as often as can be, signed as a; not a number without b."""
+    if b == 0.0 or b != b or not abs(a) < INFINITY:
+        return NAN
+    if abs(a) < abs(b):
+        return a
+    power = _power(b)
+    divisor, rest = _mantissa(b), _mantissa(a)
+    rest = rest % divisor
+    left = _power(a) - power
+    while left > 0 and rest > 0:
+        step = left if left < 10 else 10
+        rest = (rest << step) % divisor
+        left = left - step
+    return copysign(scaled(float(rest), power - 52), a)
+
+
+def _power(x: float) -> int:
+    found = exponent(x)
+    return found if found > -1023 else -1022
+
+
+def _mantissa(x: float) -> int:
+    """The 53 bits of a finite real, without its sign: x is that times 2^(power - 52)."""
+    bits = word_of(x) & 0xFFFFFFFFFFFFF
+    return bits if exponent(x) == -1023 else bits | 0x10000000000000

@@ -1,0 +1,118 @@
+"""What a sound heap is made of: how large every thing must be, and what its references must lead to."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from lfield.bytecode.program import ANY, PROXY, REFERENCES, STRING, TICKET, Program
+from lfield.bytecode.program import ARRAY as ARRAY_TYPE
+from lfield.bytecode.program import OBJECT as OBJECT_TYPE
+from lfield.vm.memory import layout
+from lfield.vm.memory.layout import (
+    FRAME,
+    FRAME_SLOTS,
+    OBJECT,
+    PROXY_WORDS,
+    THREAD,
+    THREAD_WORDS,
+    TICKET_REFERENCES,
+    TICKET_VALUE,
+    TICKET_WORDS,
+    Layouts,
+)
+
+#: For a reference: the low half of the header its target must have, or one of these: any object, any thing of
+#: a kind, the sentinel of a `together`.
+ANY_OBJECT, ANY_PROXY, ANY_FRAME, ANY_ARRAY, ANY_TICKET, SENTINEL = range(-1, -7, -1)
+_KINDS = {ANY_PROXY: layout.PROXY, ANY_FRAME: FRAME, ANY_ARRAY: layout.ARRAY, ANY_TICKET: layout.TICKET}
+_TICKET_EXPECTS = dict(
+    zip(TICKET_REFERENCES, (ANY_PROXY, ANY_FRAME, ANY_ARRAY, ANY_OBJECT, ANY_TICKET), strict=True)
+)
+#: Offsets of references in words, each with what it must lead to.
+Expected = tuple[tuple[int, int], ...]
+
+
+class Shapes:
+    """The things of one program's heaps; `members` are the types of the team's agents by number."""
+
+    def __init__(self, program: Program, layouts: Layouts, members: Sequence[str]) -> None:
+        self.program = program
+        #: The class index of every member of the team, by its number; -1 for a class that is unknown.
+        self.members = [program.class_index.get(name, -1) for name in members]
+        core = program.core
+        #: By type, what references of it must lead to; None for types that hold none.
+        self.of_type = [self._expected(i) for i in range(len(core.types))]
+        #: By the low half of a header: the size a thing must have (0: any), and what its references lead to;
+        #: arrays that hold references have no such row.
+        self.sizes: dict[int, int] = {layout.STRING: 0, THREAD: THREAD_WORDS, layout.TICKET: TICKET_WORDS}
+        self.expects: dict[int, Expected] = {layout.STRING: (), THREAD: ()}
+        self.expects[layout.TICKET] = tuple(_TICKET_EXPECTS.items())
+        for i, record in enumerate(core.classes):
+            self.sizes[OBJECT | i << 8] = layouts.class_words[i]
+            self.sizes[layout.PROXY | i << 8] = PROXY_WORDS
+            self.expects[layout.PROXY | i << 8] = ()
+            self.expects[OBJECT | i << 8] = self._references([f.type for f in record.fields], 1)
+        for i, method in enumerate(core.methods):
+            self.sizes[FRAME | i << 8] = layouts.frame_words[i]
+            self.expects[FRAME | i << 8] = self._references(method.slots, FRAME_SLOTS)
+        for i, kind in enumerate(core.types):
+            if kind.kind == ARRAY_TYPE:
+                self.sizes[layout.ARRAY | i << 8] = 0
+                if self.of_type[kind.of] is None:
+                    self.expects[layout.ARRAY | i << 8] = ()
+                self.sizes[layout.TICKET | i << 8] = TICKET_WORDS
+                self.expects[layout.TICKET | i << 8] = self._of_ticket(i, kind.of)
+
+    def references(self, head: int) -> Expected:
+        """The references of the thing with that header word, which has a size."""
+        half = head & 0xFFFFFFFF
+        expects = self.expects.get(half)
+        if expects is not None:
+            return expects
+        expected = self.of_elements(half)
+        return tuple((i, expected) for i in range(1, head >> 32))
+
+    def of_elements(self, half: int) -> int:
+        """What the elements of an array of references must lead to, by the low half of its header."""
+        expected = self.of_type[self.program.core.types[half >> 8].of]
+        assert expected is not None, "arrays without references have a row"
+        return expected
+
+    def is_kind(self, found: int, expected: int) -> bool:
+        """Whether what a reference leads to is of a kind, or an object of a class that is a kind of one."""
+        if expected == SENTINEL:
+            return found == layout.TICKET
+        if expected in _KINDS:
+            return found & 0xFF == _KINDS[expected]
+        if found & 0xFF != OBJECT:
+            return False
+        return expected == ANY_OBJECT or (
+            expected & 0xFF == OBJECT and expected >> 8 in self.program.kinds[found >> 8]
+        )
+
+    def _expected(self, kind: int) -> int | None:
+        """The expected header half for references of a type, None for types that hold none."""
+        record = self.program.core.types[kind]
+        if record.kind not in REFERENCES:
+            return None
+        if record.kind == STRING:
+            return layout.STRING
+        if record.kind == ARRAY_TYPE:
+            return layout.ARRAY | kind << 8
+        if record.kind == OBJECT_TYPE:
+            return layout.OBJECT | record.of << 8
+        if record.kind == PROXY:
+            return layout.PROXY | record.of << 8
+        if record.kind == TICKET:
+            return SENTINEL
+        return ANY_OBJECT if record.kind == ANY else 0
+
+    def _of_ticket(self, array: int, element: int) -> Expected:
+        """What the references of a ticket lead to whose target is in an array of a type (by index)."""
+        expects = {**_TICKET_EXPECTS, layout.TICKET_ARRAY: layout.ARRAY | array << 8}
+        value = self.of_type[element]
+        return tuple((expects if value is None else {**expects, TICKET_VALUE: value}).items())
+
+    def _references(self, kinds: Sequence[int], first: int) -> Expected:
+        pairs = ((first + i, self.of_type[kind]) for i, kind in enumerate(kinds))
+        return tuple((offset, expected) for offset, expected in pairs if expected is not None)

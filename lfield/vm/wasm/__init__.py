@@ -1,0 +1,1 @@
+"""The engine in WebAssembly: all blocks of a host in one memory, and its program's methods as functions."""

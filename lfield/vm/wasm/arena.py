@@ -1,0 +1,153 @@
+"""The arena: one WebAssembly memory with the blocks of all agents of a host, each in a region of its own.
+
+A region is freed when nobody has a view of it any more, so an image that is still being sent stays whole.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import resource
+from functools import cache
+from typing import Any
+
+import wasmtime
+
+from lfield.vm.memory.space import SEPARATE, Buffer
+from lfield.vm.wasm.lower.module import STACK
+
+PAGE = 1 << 16
+#: The most a memory can have. With so many addresses reserved, code needs no checks that it stays within.
+WHOLE = 1 << 32
+#: What is tried, one after another, where addresses are limited (`ulimit -v`).
+RESERVATIONS = (WHOLE, 1 << 30, 1 << 28, 1 << 26, 1 << 24)
+#: Regions have one of four sizes between two powers of two; this is the smallest.
+_SMALLEST = 512
+#: A memory grows by so many pages at least: growing costs a call of the system, untouched pages cost nothing.
+_STEP = 16
+
+
+@cache
+def compiler(reservation: int) -> wasmtime.Engine:
+    """What compiles for memories with so many addresses; one for a process, so its hosts share modules."""
+    config = wasmtime.Config()
+    config.memory_reservation = reservation
+    config.memory_reservation_for_growth = 0
+    config.memory_may_move = False
+    if reservation < WHOLE:
+        config.memory_guard_size = PAGE
+    config.wasm_wide_arithmetic = True
+    config.cranelift_nan_canonicalization = True
+    config.parallel_compilation = False
+    config.max_wasm_stack = STACK
+    return wasmtime.Engine(config)
+
+
+class Arena:
+    """The memory, and which regions of it are free. The first `low` bytes are not given to blocks."""
+
+    def __init__(self, low: int = PAGE) -> None:
+        self.reservation, self.store, self.memory = _reserved(-(-low // PAGE))
+        #: Where the memory begins, in this process; it never moves.
+        self.address = ctypes.addressof(self.memory.data_ptr(self.store).contents)
+        self._next = low + -low % 8
+        self._free: dict[int, list[int]] = {}
+
+    def view(self, base: int, size: int) -> memoryview:
+        """So many bytes from a place in the memory, for as long as the arena is there."""
+        return memoryview((ctypes.c_ubyte * size).from_address(self.address + base)).cast("B")
+
+    def room(self, size: int) -> Buffer:
+        """A region; bytes elsewhere, which only the reference engine can use, where the memory is full."""
+        capacity = size_class(size)
+        base = self.take(capacity)
+        if base < 0:
+            return SEPARATE.room(size)
+        region = _region(capacity).from_address(self.address + base)
+        region.arena, region.base = self, base
+        return memoryview(region).cast("B")[:size]
+
+    def sized(self, data: Buffer, size: int) -> Buffer:
+        """The same region where its size class fits, else another one."""
+        region = data.obj if isinstance(data, memoryview) else None
+        if isinstance(region, Region) and len(region) == size_class(size):
+            return memoryview(region).cast("B")[:size]
+        made = self.room(size)
+        kept = min(size, len(data))
+        made[:kept] = data[:kept]
+        return made
+
+    def base(self, data: Buffer) -> int:
+        """Where a region begins in the memory, in bytes; -1 for bytes that are not in this one."""
+        region = data.obj if isinstance(data, memoryview) else None
+        if isinstance(region, Region) and region.arena is self:
+            return region.base
+        return -1
+
+    def take(self, capacity: int) -> int:
+        """Where so many bytes (a size class) are that are nobody's until they are freed; -1: nowhere."""
+        free = self._free.get(capacity)
+        return free.pop() if free else self._fresh(capacity)
+
+    def free(self, base: int, capacity: int) -> None:
+        """Nobody has a view of a region any more."""
+        self._free.setdefault(capacity, []).append(base)
+
+    def _fresh(self, capacity: int) -> int:
+        """A new region from the end of the memory, which grows for it; -1 when it cannot."""
+        base, end = self._next, self._next + capacity
+        size = self.memory.data_len(self.store)
+        if end > size:
+            pages = max(-(-(end - size) // PAGE), _STEP)
+            pages = min(pages, (self.reservation - size) // PAGE)
+            if end > size + pages * PAGE or not self._grow(pages):
+                return -1
+        self._next = end
+        return base
+
+    def _grow(self, pages: int) -> bool:
+        try:
+            self.memory.grow(self.store, pages)
+        except wasmtime.WasmtimeError:
+            return False
+        return True
+
+
+class Region(ctypes.Array[ctypes.c_ubyte]):
+    """The bytes of one region; views of them keep it."""
+
+    _type_ = ctypes.c_ubyte
+    _length_ = 0
+    arena: Arena
+    base: int
+
+    def __del__(self) -> None:
+        self.arena.free(self.base, len(self))
+
+
+def size_class(size: int) -> int:
+    """The size of the region for so many bytes: at most a quarter more."""
+    if size <= _SMALLEST:
+        return _SMALLEST
+    step = 1 << (size - 1).bit_length() - 3
+    return size + -size % step
+
+
+@cache
+def _region(capacity: int) -> type[Region]:
+    return type("Region", (Region,), {"_length_": capacity})
+
+
+def _reserved(pages: int) -> tuple[int, Any, wasmtime.Memory]:
+    """A memory with as many addresses as can be had: how many, its store and itself."""
+    limit = resource.getrlimit(resource.RLIMIT_AS)[0]
+    most = WHOLE if limit == resource.RLIM_INFINITY else limit // 4
+    for reservation in RESERVATIONS:
+        if reservation > max(most, RESERVATIONS[-1]):
+            continue
+        try:
+            store = wasmtime.Store(compiler(reservation))
+            kind = wasmtime.MemoryType(wasmtime.Limits(pages, reservation // PAGE))
+            return reservation, store, wasmtime.Memory(store, kind)
+        except wasmtime.WasmtimeError:
+            continue
+    raise MemoryError("no addresses are left for an arena; raise the limit of addresses (ulimit -v)")

@@ -1,0 +1,131 @@
+"""A program as machine code: compiled once in a process, and once on a computer where a cache keeps it.
+
+What a cache gives is used only when it is whole and was made of this program by these very files and this
+wasmtime. It is machine code: a cache must give nothing that anybody but its user could have written.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections import OrderedDict
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import cache
+from importlib.metadata import version
+from importlib.resources import files
+from importlib.resources.abc import Traversable
+from typing import Protocol
+
+import msgspec
+import wasmtime
+
+from lfield.vm.reference.prepare import Prepared
+from lfield.vm.wasm.arena import compiler
+from lfield.vm.wasm.lower.module import Module, module
+from lfield.vm.wasm.runtime.functions import runtime_text
+
+#: So many programs are kept in a process: tests have many of them, a host has one.
+KEPT = 16
+_recent: OrderedDict[tuple[bytes, int], Code] = OrderedDict()
+#: The packages whose files say what code is made of a program.
+_MAKERS = ("lfield.vm.wasm", "lfield.vm.maths", "lfield.bytecode", "lfield.vm.memory")
+
+
+class Cache(Protocol):
+    """Keeps the code of programs by name, for this user alone."""
+
+    def get(self, name: str) -> bytes | None:
+        """What was put there, None if there is nothing that could be believed."""
+
+    def put(self, name: str, data: bytes) -> None:
+        """Keep this, if it can be."""
+
+    def damaged(self, name: str, reason: str) -> None:
+        """What `get` gave was not what was put; it is made again."""
+
+
+@dataclass(frozen=True, slots=True)
+class Code:
+    """Machine code for memories with a number of reserved addresses, and the points of its instructions."""
+
+    compiled: wasmtime.Module
+    points: dict[int, int]
+
+
+class _Kept(msgspec.Struct, frozen=True, array_like=True):
+    points: dict[int, int]
+    machine_code: bytes
+
+
+_kept = msgspec.msgpack.Decoder(_Kept)
+
+
+def code_of(prepared: Prepared, reservation: int, kept: Cache | None = None) -> Code:
+    """The code of a program: of this process, else of the cache, else made now."""
+    return _recently(prepared.program.digest, reservation, kept, lambda: module(prepared))
+
+
+def runtime_of(reservation: int, kept: Cache | None = None) -> wasmtime.Module:
+    """The code of the runtime, which is the same for all programs."""
+    return _recently(b"runtime", reservation, kept, lambda: Module(runtime_text(), {})).compiled
+
+
+def _recently(digest: bytes, reservation: int, kept: Cache | None, make: Callable[[], Module]) -> Code:
+    key = digest, reservation
+    found = _recent.pop(key, None) or _found(digest, reservation, kept, make)
+    _recent[key] = found
+    if len(_recent) > KEPT:
+        _recent.popitem(last=False)
+    return found
+
+
+def _found(digest: bytes, reservation: int, kept: Cache | None, make: Callable[[], Module]) -> Code:
+    if kept is None:
+        return _made(make(), reservation)
+    name = name_of(digest, reservation)
+    data = kept.get(name)
+    if data is not None:
+        try:
+            return _read(data, reservation)
+        except (ValueError, msgspec.DecodeError, wasmtime.WasmtimeError) as error:
+            kept.damaged(name, str(error).partition("\n")[0])
+    code = _made(make(), reservation)
+    content = msgspec.msgpack.encode(_Kept(code.points, bytes(code.compiled.serialize())))
+    kept.put(name, hashlib.sha256(content).digest() + content)
+    return code
+
+
+def _made(made: Module, reservation: int) -> Code:
+    return Code(wasmtime.Module(compiler(reservation), made.text), made.points)
+
+
+def _read(data: bytes, reservation: int) -> Code:
+    content = data[32:]
+    if hashlib.sha256(content).digest() != data[:32]:
+        raise ValueError("it is not what was written")
+    found = _kept.decode(content)
+    return Code(wasmtime.Module.deserialize(compiler(reservation), found.machine_code), found.points)
+
+
+def name_of(digest: bytes, reservation: int) -> str:
+    """The name of a program's code: that of another program, lfield or wasmtime has another one."""
+    made_of = (digest, str(reservation).encode(), version("wasmtime").encode(), _makers())
+    return hashlib.sha256(b"\0".join(made_of)).hexdigest()[:32]
+
+
+@cache
+def _makers() -> bytes:
+    """A digest of the files that say what code is made."""
+    digest = hashlib.sha256()
+    for package in _MAKERS:
+        for name, data in sorted(_sources(files(package), package)):
+            digest.update(f"{name}\0{len(data)}\0".encode() + data)
+    return digest.digest()
+
+
+def _sources(folder: Traversable, name: str) -> Iterator[tuple[str, bytes]]:
+    for entry in folder.iterdir():
+        if entry.is_dir() and entry.name != "__pycache__":
+            yield from _sources(entry, f"{name}/{entry.name}")
+        elif entry.name.endswith((".py", ".wat")):
+            yield f"{name}/{entry.name}", entry.read_bytes()

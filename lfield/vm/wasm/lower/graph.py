@@ -1,0 +1,193 @@
+"""The control flow of a method: runs of instructions that are done one after another, and how one ends.
+
+A run also ends behind each call and where an instruction leaves the engine: what is behind is a *point*
+where the method can be resumed, with its slots from the block.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+from lfield.bytecode.opcodes import BY_CODE, Opcode
+from lfield.bytecode.program import CATCH, FINALLY, MethodRecord, Quad
+from lfield.vm.reference.prepare import Prepared
+
+
+@dataclass(frozen=True, slots=True)
+class Instruction:
+    """What costs one of the budget: a quad, or a whole group with the operands it pushes.
+
+    `into` is the slot its result is popped to, -1 for none.
+    """
+
+    pc: int
+    after: int
+    row: Opcode
+    quad: Quad
+    arguments: tuple[int, ...] = ()
+    into: int = -1
+
+
+@dataclass(frozen=True, slots=True)
+class Jump:
+    """Goes on there."""
+
+    to: int
+
+
+@dataclass(frozen=True, slots=True)
+class Branch:
+    """Goes on at `yes` when the boolean in a slot is true, else at `no`."""
+
+    slot: int
+    yes: int
+    no: int
+
+
+@dataclass(frozen=True, slots=True)
+class Call:
+    """Calls a method, then goes on."""
+
+    what: Instruction
+    to: int
+
+
+@dataclass(frozen=True, slots=True)
+class Return:
+    """Leaves the method."""
+
+    what: Instruction
+
+
+@dataclass(frozen=True, slots=True)
+class Throw:
+    """Throws the object in a slot."""
+
+    what: Instruction
+
+
+@dataclass(frozen=True, slots=True)
+class Leave:
+    """Leaves the engine, which does not know the instruction; goes on there some time."""
+
+    what: Instruction
+    to: int | None
+
+
+End = Jump | Branch | Call | Return | Throw | Leave
+
+
+@dataclass(slots=True)
+class Run:
+    """Instructions from `pc` on, one after another, and how they end."""
+
+    pc: int
+    work: list[Instruction] = field(default_factory=list)
+    end: End | None = None
+
+    @property
+    def cost(self) -> int:
+        """What it takes from the budget; an instruction that leaves is paid for by who does it."""
+        return len(self.work) + (isinstance(self.end, (Branch, Call, Return, Throw)) or self._jumps)
+
+    @property
+    def _jumps(self) -> bool:
+        return isinstance(self.end, Jump) and not self.falls
+
+    #: Whether it only goes on with the next instruction, which costs nothing.
+    falls: bool = False
+
+
+class Graph:
+    """The runs of one method by the instruction they begin at, and its points.
+
+    `lowered` says of an instruction whether the engine does it itself.
+    """
+
+    def __init__(
+        self, prepared: Prepared, method: MethodRecord, lowered: Callable[[Instruction], bool]
+    ) -> None:
+        self.method = method
+        self._prepared, self._lowered = prepared, lowered
+        self._quads = prepared.program.quads
+        self.entry = method.entry if method.synchronized else method.entry + 1
+        self.instructions = {i.pc: i for i in self._decoded()}
+        self.points = {self.entry}
+        self.points.update(h.target for h in method.handlers if h.kind in (CATCH, FINALLY))
+        heads = self._heads()
+        self.runs: dict[int, Run] = {}
+        for pc in sorted(heads):
+            self.runs[pc] = self._run(pc, heads)
+
+    def _decoded(self) -> list[Instruction]:
+        found = []
+        pc = self.method.entry
+        while pc < self.method.end:
+            group = self._prepared.groups.get(pc)
+            quad = self._quads[pc]
+            if group is None:
+                found.append(Instruction(pc, pc + 1, BY_CODE[quad.op], quad))
+            else:
+                row = BY_CODE[group.head.op]
+                back = group.after - (group.destination >= 0)
+                pushed = tuple(push.a for push in self._quads[pc : back - 1])
+                found.append(Instruction(pc, group.after, row, group.head, pushed, group.destination))
+            pc = found[-1].after
+        return found
+
+    def _heads(self) -> set[int]:
+        """Where runs begin; notes the points behind calls and behind what leaves."""
+        heads = set(self.points)
+        for i in self.instructions.values():
+            name = i.row.name
+            if name in ("jmp", "bnz", "bz"):
+                heads.update((i.quad.a, i.after))
+                if i.quad.a <= i.pc:
+                    self.points.add(i.quad.a)
+            elif name not in ("return", "rtn", "throw") and (name == "call" or not self._lowered(i)):
+                heads.add(i.after)
+                self.points.add(i.after)
+        return {pc for pc in heads if pc in self.instructions}
+
+    def _run(self, pc: int, heads: set[int]) -> Run:
+        run = Run(pc)
+        while run.end is None:
+            i = self.instructions[pc]
+            name, after = i.row.name, i.after
+            if name == "jmp":
+                run.end = Jump(i.quad.a)
+            elif name in ("bnz", "bz"):
+                ways = (i.quad.a, after) if name == "bnz" else (after, i.quad.a)
+                run.end = Branch(i.quad.b, *ways)
+            elif name == "call":
+                run.end = Call(i, after)
+            elif name in ("return", "rtn"):
+                run.end = Return(i)
+            elif name == "throw":
+                run.end = Throw(i)
+            elif not self._lowered(i):
+                run.end = Leave(i, after if after in self.instructions else None)
+            else:
+                run.work.append(i)
+                pc = after
+                if pc in heads:
+                    run.end, run.falls = Jump(pc), True
+        return run
+
+    def leads_to(self, pc: int) -> list[int]:
+        """Where control may go from a run: by itself, by what is thrown in it, and when it is resumed."""
+        run = self.runs[pc]
+        ways: list[int] = []
+        match run.end:
+            case Jump(to) | Call(_, to):
+                ways.append(to)
+            case Branch(_, yes, no):
+                ways += [yes, no]
+            case Leave(_, to) if to is not None:
+                ways.append(to)
+        inside = [*run.work, *([run.end.what] if isinstance(run.end, (Call, Throw, Leave)) else [])]
+        for handler in self.method.handlers:
+            if handler.kind in (CATCH, FINALLY) and any(handler.start <= i.pc < handler.end for i in inside):
+                ways.append(handler.target)
+        return ways

@@ -1,0 +1,374 @@
+"""One function for each method: its slots are locals, and go to its frame when somebody may look at it.
+
+The parameters are the address of the frame, the point where to resume (0: at the beginning) and the
+arguments; the results are the method's and whether it has returned (RETURNED). If it has not, every function
+on WebAssembly's stack writes its slots to its frame and gives up in turn: the block is whole then, and each
+of them can be resumed behind its call. The words of a frame before its slots are written by the caller.
+"""
+
+from __future__ import annotations
+
+import re
+import struct
+from collections.abc import Container
+from typing import Any
+
+from lfield.bytecode.program import PROXY, REAL, VOID
+from lfield.vm.memory.layout import (
+    ARRAY,
+    FRAME,
+    FRAME_CALLER,
+    FRAME_DEPTH,
+    FRAME_RETURN,
+    FRAME_SLOTS,
+    OBJECT,
+    STRING,
+    W_ENTRIES,
+    W_OWNER,
+    header,
+)
+from lfield.vm.reference.prepare import Prepared
+from lfield.vm.wasm.lower.graph import Branch, Call, Graph, Instruction, Jump, Leave, Return, Run, Throw
+from lfield.vm.wasm.lower.routes import Routes, Switch, Test
+from lfield.vm.wasm.lower.shape import Go, Item, Shape
+from lfield.vm.wasm.lower.table import ROWS
+
+#: What a function says besides its result: it has returned; it stands where the reference engine must go on;
+#: its budget does not suffice for what comes next; the thread's first method has returned; it has thrown.
+RETURNED, STEP, SHORT, DONE, THROWN = range(5)
+#: Longer things are made by the reference engine; shorter ones are made word by word up to here, in words.
+_LONGEST, _UNROLLED = 1 << 14, 12
+_BRACES = re.compile(r"\{(\w+)\}")
+
+
+def row_name(prepared: Prepared, slots: tuple[int, ...], i: Instruction) -> str:
+    """The row of the table that an instruction is lowered by; '' when it leaves."""
+    name = i.row.name
+    if name in ("eqr", "sner") and prepared.program.core.types[slots[i.quad.b]].kind == PROXY:
+        return f"{name} of proxies"
+    if name == "lds" and len(image_of(prepared, i)) > _LONGEST:
+        return ""
+    return name if name in ROWS else ""
+
+
+def image_of(prepared: Prepared, i: Instruction) -> list[int]:
+    """The words of what `lds` or `new` makes."""
+    if i.row.name == "new":
+        words = prepared.layouts.class_words[i.quad.b]
+        return [header(OBJECT, i.quad.b, words), *[0] * (words - 1)]
+    text = prepared.program.core.constants[i.quad.b]
+    assert isinstance(text, str)
+    raw = text.encode("utf-8", "replace")
+    words = 2 + (len(raw) + 7 >> 3)
+    return [
+        header(STRING, 0, words),
+        len(raw),
+        *struct.unpack(f"<{words - 2}q", raw.ljust(8 * (words - 2), b"\0")),
+    ]
+
+
+class Method:
+    """The text of one method's function, and the numbers of its points."""
+
+    def __init__(self, prepared: Prepared, index: int) -> None:
+        self.index = index
+        #: Which methods have functions that can be called; those that are too tangled have none.
+        self.others: Container[int] = ()
+        self._prepared = prepared
+        self._core = prepared.program.core
+        self._method = method = self._core.methods[index]
+        graph = Graph(prepared, method, lambda i: bool(row_name(prepared, method.slots, i)))
+        self._routes = Routes(graph)
+        #: The numbers of its points by instruction.
+        self.points = self._routes.numbers
+        #: What it copies to the heap, by the name of the segment.
+        self.segments: dict[str, bytes] = {}
+        #: The types of its slots, as WebAssembly has them.
+        self.slots = [self._type(t) for t in method.slots]
+        self.result = "" if self._kind(method.result) == VOID else self._type(method.result)
+        self.words = prepared.layouts.frame_words[index]
+
+    def _kind(self, index: int) -> int:
+        return self._core.types[index].kind
+
+    def _type(self, index: int) -> str:
+        return "f64" if self._kind(index) == REAL else "i64"
+
+    # --- the function ---------------------------------------------------------------------------------
+
+    def text(self) -> str:
+        """The function as WebAssembly text."""
+        labelled = {
+            to
+            for node in self._routes.nodes.values()
+            if isinstance(node, Switch)
+            for to in node.ways.values()
+        }
+        self._shape = Shape(-1, self._routes.leads_to, labelled)
+        return "\n".join([*self._head(), *self._shape.lines(self._node), "unreachable", *self._tail(), ")"])
+
+    def _head(self) -> list[str]:
+        count = self._method.parameters + 1
+        slots = [f"(param $s{i} {t})" for i, t in enumerate(self.slots[:count])]
+        others = [f"(local $s{i} {t})" for i, t in enumerate(self.slots[count:], count)]
+        return [
+            f";; {self._method.name}",
+            f"(func $m{self.index} (param $frame i32) (param $resume i32) {' '.join(slots)}",
+            f"(result {self.result} i32)",
+            " ".join(others),
+            "(local $base i32) (local $left i64) (local $pc i32) (local $status i32) (local $p i32)",
+            f"(local $x i64) (local $y i64) (local $u f64) (local $value {self.result or 'i64'})",
+            "(local.set $base (global.get $base))",
+            "(local.set $left (global.get $left))",
+            "(if (local.get $resume) (then",
+            *(
+                f"(local.set $s{i} ({t}.load offset={self._at(i)} (local.get $frame)))"
+                for i, t in enumerate(self.slots)
+            ),
+            "))",
+            "block $spill",
+            "block $exit",
+            "block $return",
+        ]
+
+    def _tail(self) -> list[str]:
+        """Where all ways out end: return, leaving with the place noted, and writing the slots."""
+        release = f"""
+            (i64.store offset={8 * W_ENTRIES} (local.get $base)
+                (i64.sub (i64.load offset={8 * W_ENTRIES} (local.get $base)) (i64.const 1)))
+            (if (i64.eqz (i64.load offset={8 * W_ENTRIES} (local.get $base)))
+                (then (i64.store offset={8 * W_OWNER} (local.get $base) (i64.const 0))))
+        """
+        value = "(local.get $value)" if self.result else ""
+        as_word = value if self.result != "f64" else f"(i64.reinterpret_f64 {value})"
+        return [
+            "end ;; return",
+            release if self._method.synchronized else "",
+            "(global.set $left (local.get $left))",
+            f"(if (i64.eqz (i64.load offset={8 * FRAME_CALLER} (local.get $frame))) (then",
+            f"(global.set $word {as_word or '(i64.const 0)'})",
+            f"(local.set $status (i32.const {DONE}))",
+            "(br $exit)))",
+            ";; A frame on the top of the heap is given back; another one stays as garbage, and is written.",
+            f"(if (i32.eq (i32.add (local.get $frame) (i32.const {8 * self.words})) (global.get $top)) (then",
+            "(global.set $top (local.get $frame))",
+            f"(return {value} (i32.const {RETURNED}))))",
+            "(br $spill)",
+            "end ;; exit",
+            "(global.set $left (local.get $left))",
+            "(global.set $frame (local.get $frame))",
+            "(global.set $pc (local.get $pc))",
+            "end ;; spill",
+            *(
+                f"({t}.store offset={self._at(i)} (local.get $frame) (local.get $s{i}))"
+                for i, t in enumerate(self.slots)
+            ),
+            f"{value} (local.get $status)",
+        ]
+
+    def _at(self, slot: int) -> int:
+        return 8 * (FRAME_SLOTS + slot)
+
+    # --- nodes ----------------------------------------------------------------------------------------
+
+    def _node(self, number: int, go: Go) -> list[Item]:
+        match self._routes.nodes[number]:
+            case Test(switch, on):
+                return ["local.get $resume", "if", *go(switch), "end", *go(on)]
+            case Switch(ways):
+                return list(self._switch(number, ways))
+            case run:
+                return self._run(run, go)
+
+    def _switch(self, number: int, ways: dict[int, int]) -> list[str]:
+        first, last = min(ways), max(ways)
+        labels = [self._shape.label(number, ways[k]) if k in ways else "$no" for k in range(first, last + 1)]
+        where = f"(i32.sub (local.get $resume) (i32.const {first}))"
+        return ["block $no", where, f"br_table {' '.join(labels)} $no", "end", "unreachable"]
+
+    def _run(self, run: Run, go: Go) -> list[Item]:
+        lines: list[Item] = []
+        if run.pc in self.points:
+            lines.append("(local.set $resume (i32.const 0))")
+        cost = run.cost
+        if cost:
+            lines += [
+                f"(local.set $left (i64.sub (local.get $left) (i64.const {cost})))",
+                *self._leave("(i64.lt_s (local.get $left) (i64.const 0))", run.pc, cost, SHORT),
+            ]
+        for done, i in enumerate(run.work):
+            lines += self._lowered(i, cost - done)
+        return [*lines, *self._end(run, go)]
+
+    def _end(self, run: Run, go: Go) -> list[Item]:
+        first = self._routes.first
+        match run.end:
+            case Jump(to):
+                return go(first(to))
+            case Branch(slot, yes, no):
+                condition = f"(i64.ne (local.get $s{slot}) (i64.const 0))"
+                return [condition, "if", *go(first(yes)), "end", *go(first(no))]
+            case Call(what, to):
+                if not self._calls(what):
+                    return list(self._gone(what.pc, 1, STEP))
+                return [*self._call(what), *go(first(to))]
+            case Return(what):
+                value = f"(local.set $value {self._value(what.quad.a, self.result)})" if self.result else ""
+                return [f"(local.set $pc (i32.const {what.pc}))", value, "br $return"]
+            case Throw(what):
+                thrown = self._value(what.quad.a, "i64")
+                null = self._leave(f"(i64.eqz {thrown})", what.pc, 1)
+                return [*null, f"(global.set $word {thrown})", *self._gone(what.pc, 0, THROWN)]
+            case end:
+                assert isinstance(end, Leave)
+                return list(self._gone(end.what.pc, 0, STEP))
+
+    def _gone(self, pc: int, refund: int, status: int) -> list[str]:
+        """Leaves at an instruction; `refund` are those paid for that are not done."""
+        back = f"(local.set $left (i64.add (local.get $left) (i64.const {refund})))" if refund else ""
+        return [
+            f"(local.set $pc (i32.const {pc})) {back}",
+            f"(local.set $status (i32.const {status}))",
+            "br $exit",
+        ]
+
+    def _leave(self, condition: str, pc: int, refund: int, status: int = STEP) -> list[str]:
+        return [condition, "if", *self._gone(pc, refund, status), "end"]
+
+    # --- instructions ---------------------------------------------------------------------------------
+
+    def _value(self, operand: int, kind: str) -> str:
+        """A source operand of a type of WebAssembly."""
+        if operand >= 0:
+            return f"(local.get $s{operand})"
+        value = self._core.constants[-1 - operand]
+        if kind == "f64":
+            assert isinstance(value, (int, float))
+            return f"(f64.const {_real(float(value))})"
+        return f"(i64.const {int(value) if isinstance(value, int) else 0})"
+
+    def _lowered(self, i: Instruction, refund: int) -> list[str]:
+        """The lines of the instruction's row, with its operands."""
+        given = self._operands(i)
+        lines = []
+        for line in ROWS[row_name(self._prepared, self._method.slots, i)].strip().splitlines():
+            word, _, rest = line.strip().partition(" ")
+            if word == "leave":
+                lines += self._leave(_filled(rest, given), i.pc, refund)
+            elif word == "null":
+                lines += self._null(given["slots"][rest], i.pc, refund)
+            else:
+                lines.append(_filled(line.strip(), given))
+        return lines
+
+    def _null(self, operand: int, pc: int, refund: int) -> list[str]:
+        # The object that the method runs on is never null.
+        return self._leave(f"(i64.eqz {self._value(operand, 'i64')})", pc, refund) if operand else []
+
+    def _operands(self, i: Instruction) -> dict[str, Any]:
+        """What the braces of a row stand for."""
+        slots: dict[str, int] = {}
+        given: dict[str, Any] = {"slots": slots}
+        for number, (pushed, takes) in enumerate(zip(i.arguments, i.row.takes or (), strict=False)):
+            slots[str(number)] = pushed
+            given[str(number)] = self._value(pushed, "f64" if takes == "real" else "i64")
+        if i.into >= 0:
+            given["a"] = f"$s{i.into}"
+        elif i.row.takes is None:
+            for letter, operand, value in zip("abc", i.row.operands, i.quad[1:], strict=False):
+                slots[letter] = value
+                if operand.role == "D":
+                    given[letter], given["t"] = f"$s{value}", self.slots[value]
+                elif operand.role in "SV":
+                    real = operand.kind == "real" or (operand.kind in ("same", "any") and self._is_real(i))
+                    given[letter] = self._value(value, "f64" if real else "i64")
+                elif operand.role == "F":
+                    given["field"] = 8 * (1 + value)
+        for letter in [k for k in given if k in slots and isinstance(given[k], str)]:
+            given[f"{letter}_at"] = _address(given[letter])
+        if i.row.name in ("putf", "pute"):
+            given["t"] = "f64" if self._is_real(i) else "i64"
+        return {**given, **self._made(i)}
+
+    def _is_real(self, i: Instruction) -> bool:
+        """Whether the value that is moved is a real."""
+        a, b = i.quad.a, i.quad.b
+        types = self._core.types
+        match i.row.name:
+            case "putf":
+                return self._kind(self._core.classes[types[self._method.slots[a]].of].fields[b].type) == REAL
+            case "pute":
+                return self._kind(types[self._method.slots[a]].of) == REAL
+        return self.slots[a] == "f64"
+
+    def _made(self, i: Instruction) -> dict[str, str]:
+        """Of instructions that make things: their size, and how they are written at $p."""
+        made = {"made": _reference("$p"), "head": str(ARRAY | i.quad.b << 8)}
+        if i.row.name not in ("lds", "new"):
+            return made
+        words = image_of(self._prepared, i)
+        size = 8 * len(words)
+        if len(words) <= _UNROLLED:
+            stores = (
+                f"(i64.store offset={8 * n} (local.get $p) (i64.const {word}))"
+                for n, word in enumerate(words)
+            )
+            return {**made, "size": str(size), "image": " ".join(stores)}
+        name = f"$made{i.quad.b}{i.row.name}"
+        self.segments[name] = struct.pack(f"<{len(words)}q", *words)
+        image = f"(memory.init {name} (local.get $p) (i32.const 0) (i32.const {size}))"
+        return {**made, "size": str(size), "image": image}
+
+    def _calls(self, i: Instruction) -> bool:
+        return i.quad.a in self.others and i.arguments[0] >= 0
+
+    def _call(self, i: Instruction) -> list[str]:
+        """A frame on the top of the heap, and the callee's function on it."""
+        callee = self._core.methods[i.quad.a]
+        size = 8 * self._prepared.layouts.frame_words[i.quad.a]
+        head = header(FRAME, i.quad.a, size // 8)
+        back = i.after - (i.into >= 0)
+        types = [self._type(t) for t in callee.slots]
+        arguments = " ".join(self._value(o, t) for o, t in zip(i.arguments, types, strict=False))
+        result = ""
+        if i.into >= 0:
+            result = "$u" if self.slots[i.into] == "f64" else "$x"
+        return [
+            *self._null(i.arguments[0], i.pc, 1),
+            f"(local.set $x (i64.add (i64.load offset={8 * FRAME_DEPTH} (local.get $frame)) (i64.const 1)))",
+            *self._leave("(i64.gt_s (local.get $x) (global.get $deepest))", i.pc, 1),
+            "(local.set $p (global.get $top))",
+            *self._leave(
+                f"(i32.gt_u (i32.add (local.get $p) (i32.const {size})) (global.get $end))", i.pc, 1
+            ),
+            f"(global.set $top (i32.add (local.get $p) (i32.const {size})))",
+            f"(i64.store (local.get $p) (i64.const {head}))",
+            f"(i64.store offset={8 * FRAME_CALLER} (local.get $p) {_reference('$frame')})",
+            f"(i64.store offset={8 * FRAME_RETURN} (local.get $p) (i64.const {back}))",
+            f"(i64.store offset={8 * FRAME_DEPTH} (local.get $p) (local.get $x))",
+            "(global.set $left (local.get $left))",
+            f"(call $m{i.quad.a} (local.get $p) (i32.const 0) {arguments})",
+            "local.set $status",
+            f"local.set {result}" if result else "",
+            "(br_if $spill (local.get $status))",
+            "(local.set $left (global.get $left))",
+            f"(local.set $s{i.into} (local.get {result}))" if result else "",
+        ]
+
+
+def _filled(line: str, given: dict[str, Any]) -> str:
+    return _BRACES.sub(lambda found: str(given[found[1]]), line)
+
+
+def _reference(address: str) -> str:
+    """The reference that leads to an address in a local."""
+    return f"(i64.extend_i32_u (i32.shr_u (i32.sub (local.get {address}) (local.get $base)) (i32.const 3)))"
+
+
+def _address(reference: str) -> str:
+    return f"(i32.add (local.get $base) (i32.shl (i32.wrap_i64 {reference}) (i32.const 3)))"
+
+
+def _real(value: float) -> str:
+    """A real constant; there is one NaN (decision 58)."""
+    return "nan" if value != value else value.hex()

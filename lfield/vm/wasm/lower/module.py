@@ -1,0 +1,99 @@
+"""A whole program as one WebAssembly module: a function for each method, the driver, and its tables."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from lfield.bytecode.program import Program
+from lfield.vm.reference.prepare import Prepared
+from lfield.vm.wasm.lower.driver import GLOBALS, driver
+from lfield.vm.wasm.lower.maths import maths_name, maths_text
+from lfield.vm.wasm.lower.method import Method
+from lfield.vm.wasm.lower.routes import Irreducible
+from lfield.vm.wasm.lower.table import MATHS, RUNTIME
+from lfield.vm.wasm.lower.tables import Tables
+
+#: The size of WebAssembly's own stack, in bytes.
+STACK = 1 << 20
+#: Where its tables begin, behind the registers.
+TABLES = 1024
+
+
+@dataclass(frozen=True, slots=True)
+class Module:
+    """The text, and the point of each instruction that has one."""
+
+    text: str
+    points: dict[int, int]
+
+
+def module(prepared: Prepared) -> Module:
+    """The module of a program."""
+    methods = {
+        m.index: m for m in (_method(prepared, i) for i in range(len(prepared.program.core.methods))) if m
+    }
+    for method in methods.values():
+        method.others = methods.keys()
+    functions = [m.text() for m in methods.values()]
+    points = {pc: number for m in methods.values() for pc, number in m.points.items()}
+    tables = Tables(prepared.program, TABLES)
+    segments = {name: data for m in methods.values() for name, data in m.segments.items()}
+    count = len(prepared.program.core.methods)
+    lines = [
+        "(module",
+        '(import "arena" "memory" (memory 1))',
+        *(f'(import "runtime" "{name}" (func ${name} {kind}))' for name, kind in RUNTIME.items()),
+        *(
+            f"(global ${name} (mut {kind}) ({kind}.const 0))"
+            for kind, names in GLOBALS.items()
+            for name in names
+        ),
+        f'(data (i32.const {TABLES}) "{_escaped(tables.data(prepared, points))}")',
+        *(f'(data {name} "{_escaped(data)}")' for name, data in segments.items()),
+        "(type $entry (func (param i32 i32) (result i64 i32)))",
+        f"(table {count} funcref)",
+        f"(elem (i32.const 0) func {' '.join(f'$e{i}' if i in methods else '$none' for i in range(count))})",
+        "(func $none (type $entry) unreachable)",
+        *(_entry(m, prepared) for m in methods.values()),
+        *functions,
+        maths_text(name for name in MATHS if any(f" {maths_name(name)} " in text for text in functions)),
+        driver(_deepest(prepared), tables, catches=not prepared.program.has_limits),
+        ")",
+    ]
+    return Module("\n".join(line for line in lines if line) + "\n", points)
+
+
+def low_bytes(program: Program) -> int:
+    """How many bytes at the beginning of the memory the module uses."""
+    return Tables(program, TABLES).end
+
+
+def _method(prepared: Prepared, index: int) -> Method | None:
+    try:
+        return Method(prepared, index)
+    except Irreducible:
+        return None
+
+
+def _deepest(prepared: Prepared) -> int:
+    """How many calls fit WebAssembly's own stack; deeper ones begin a new one from the driver."""
+    slots = max((len(m.slots) for m in prepared.program.core.methods), default=1)
+    return STACK // 2 // (256 + 24 * slots)
+
+
+def _escaped(data: bytes) -> str:
+    return "".join(f"\\{byte:02x}" for byte in data)
+
+
+def _entry(m: Method, prepared: Prepared) -> str:
+    """How the driver calls a method's function: without arguments, its result as a word."""
+    parameters = prepared.program.core.methods[m.index].parameters + 1
+    nothing = " ".join(f"({t}.const 0)" for t in m.slots[:parameters])
+    lines = [
+        f"(func $e{m.index} (type $entry) (local $status i32)",
+        f"(call $m{m.index} (local.get 0) (local.get 1) {nothing})",
+        "local.set $status",
+        "i64.reinterpret_f64" if m.result == "f64" else "" if m.result else "i64.const 0",
+        "local.get $status)",
+    ]
+    return "\n".join(lines)

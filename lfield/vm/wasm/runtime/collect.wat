@@ -1,0 +1,86 @@
+;; The collector: Cheney's algorithm, as lfield/vm/memory/collector.py tells it in Python. The same bytes.
+;;
+;; $tables  address of the records of the program (tables.py); the record 0 of kind 0 is the block's header
+;; $from    address of the old space; the headers of what is alive there are spoilt
+;; $to      address of the new space, with the header of the block already in it
+;; $header  how many words that header has
+;; Gives the first unused word of the new space.
+
+(func (export "collect")
+    (param $tables i32) (param $from i32) (param $to i32) (param $header i32) (result i32)
+    (local $top i32) (local $scan i32) (local $record i32) (local $size i32)
+    (local $left i32) (local $list i32) (local $offset i32) (local $slot i32)
+    (local $place i64) (local $old i32) (local $head i64) (local $bytes i32) (local $at i32) (local $half i32)
+    (local.set $scan (local.get $to))
+    (local.set $size (i32.shl (local.get $header) (i32.const 3)))
+    (local.set $top (i32.add (local.get $to) (local.get $size)))
+    (local.set $record (i32.add (local.get $tables) (i32.load (local.get $tables))))
+    (loop $things
+        ;; The references of one thing: all its words behind the header, or those at the offsets listed.
+        (local.set $offset (i32.const 0))
+        (local.set $list (i32.const 0))
+        (local.set $left (i32.load offset=4 (local.get $record)))
+        (if (i32.lt_s (local.get $left) (i32.const 0))
+            (then
+                (local.set $left
+                    (i32.sub (i32.shr_u (local.get $size) (i32.const 3)) (i32.const 1))))
+            (else
+                (local.set $list
+                    (i32.add (local.get $tables) (i32.load offset=8 (local.get $record))))))
+        (block $scanned
+            (loop $references
+                (br_if $scanned (i32.eqz (local.get $left)))
+                (local.set $left (i32.sub (local.get $left) (i32.const 1)))
+                (if (local.get $list)
+                    (then
+                        (local.set $offset (i32.load (local.get $list)))
+                        (local.set $list (i32.add (local.get $list) (i32.const 8))))
+                    (else
+                        (local.set $offset (i32.add (local.get $offset) (i32.const 8)))))
+                (local.set $slot (i32.add (local.get $scan) (local.get $offset)))
+                (br_if $references (i64.eqz (local.tee $place (i64.load (local.get $slot)))))
+                (local.set $old
+                    (i32.add (local.get $from) (i32.shl (i32.wrap_i64 (local.get $place)) (i32.const 3))))
+                (local.set $head (i64.load (local.get $old)))
+                (if (i64.lt_s (local.get $head) (i64.const 0))
+                    (then
+                        ;; It has moved: its header is the negated new place.
+                        (i64.store (local.get $slot) (i64.sub (i64.const 0) (local.get $head)))
+                        (br $references)))
+                (local.set $place
+                    (i64.extend_i32_u
+                        (i32.shr_u (i32.sub (local.get $top) (local.get $to)) (i32.const 3))))
+                (i64.store (local.get $slot) (local.get $place))
+                (local.set $bytes
+                    (i32.shl (i32.wrap_i64 (i64.shr_u (local.get $head) (i64.const 32))) (i32.const 3)))
+                (if (i32.gt_u (local.get $bytes) (i32.const 256))
+                    (then
+                        (memory.copy (local.get $top) (local.get $old) (local.get $bytes)))
+                    (else
+                        (i64.store (local.get $top) (local.get $head))
+                        (local.set $at (i32.const 8))
+                        (block $copied
+                            (loop $words
+                                (br_if $copied (i32.ge_u (local.get $at) (local.get $bytes)))
+                                (i64.store
+                                    (i32.add (local.get $top) (local.get $at))
+                                    (i64.load (i32.add (local.get $old) (local.get $at))))
+                                (local.set $at (i32.add (local.get $at) (i32.const 8)))
+                                (br $words)))))
+                (local.set $top (i32.add (local.get $top) (local.get $bytes)))
+                (i64.store (local.get $old) (i64.sub (i64.const 0) (local.get $place)))
+                (br $references)))
+        ;; The next thing of the new space, which is its own work list.
+        (local.set $scan (i32.add (local.get $scan) (local.get $size)))
+        (if (i32.lt_u (local.get $scan) (local.get $top))
+            (then
+                (local.set $head (i64.load (local.get $scan)))
+                (local.set $size
+                    (i32.shl (i32.wrap_i64 (i64.shr_u (local.get $head) (i64.const 32))) (i32.const 3)))
+                ;; Things of one kind often follow one another.
+                (if (i32.ne (i32.wrap_i64 (local.get $head)) (local.get $half))
+                    (then
+                        (local.set $half (i32.wrap_i64 (local.get $head)))
+                        (local.set $record (call $record (local.get $tables) (local.get $half)))))
+                (br $things))))
+    (i32.shr_u (i32.sub (local.get $top) (local.get $to)) (i32.const 3)))

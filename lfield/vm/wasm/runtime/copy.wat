@@ -1,0 +1,168 @@
+;; Deep copy, as lfield/vm/memory/copier.py tells it in Python: the same order, the same bytes.
+;;
+;; $tables   address of the records of the program; their first word is the offset (in bytes) of the reference
+;;           that stays behind, 0 for none
+;; $source   address of the block that is copied from; while this works, the header of what was found there is
+;;           the negated place of its copy
+;; $target   address of the block that is copied to, maybe the same; $top and $end in words
+;; $roots    address of $count references; they become those of the copies
+;; $scratch  address of 16 bytes for every word of the source and every root: from below the list of what was
+;;           found (place, header), from above ($last) the stack of references that are not yet followed
+;; Gives the new top, or, when there is no room, the negated number of words needed: then nothing is changed.
+
+(func (export "deep_copy")
+    (param $tables i32) (param $source i32) (param $target i32) (param $top i64) (param $end i64)
+    (param $roots i32) (param $count i32) (param $scratch i32) (param $last i32)
+    (result i64)
+    (local $words i64)
+    (local.set $words
+        (call $closure (local.get $tables) (local.get $source) (local.get $top)
+            (local.get $roots) (local.get $count) (local.get $scratch) (local.get $last)))
+    (if (i64.gt_s (i64.add (local.get $top) (local.get $words)) (local.get $end))
+        (then
+            (call $restore (local.get $source) (local.get $scratch))
+            (return (i64.sub (i64.const 0) (local.get $words)))))
+    (call $write (local.get $tables) (local.get $source) (local.get $target) (local.get $top)
+        (local.get $scratch))
+    (call $translate (local.get $source) (local.get $roots) (local.get $count))
+    (call $restore (local.get $source) (local.get $scratch))
+    (i64.add (local.get $top) (local.get $words)))
+
+;; Finds everything reachable, last reference first; gives its size in words. The list ends with the place 0.
+(func $closure
+    (param $tables i32) (param $source i32) (param $top i64)
+    (param $roots i32) (param $count i32) (param $found i32) (param $last i32)
+    (result i64)
+    (local $stack i32) (local $words i64) (local $place i64) (local $at i32) (local $head i64) (local $size i64)
+    (local $record i32) (local $stays i32) (local $left i32) (local $list i32) (local $offset i32)
+    ;; The stack grows downwards from $last. The roots are pushed from the first to the last.
+    (local.set $stack (local.get $last))
+    (block $pushed
+        (loop $push
+            (br_if $pushed (i32.eqz (local.get $count)))
+            (local.set $stack (i32.sub (local.get $stack) (i32.const 8)))
+            (i64.store (local.get $stack) (i64.load (local.get $roots)))
+            (local.set $roots (i32.add (local.get $roots) (i32.const 8)))
+            (local.set $count (i32.sub (local.get $count) (i32.const 1)))
+            (br $push)))
+    (block $done
+        (loop $pop
+            (br_if $done (i32.eq (local.get $stack) (local.get $last)))
+            (local.set $place (i64.load (local.get $stack)))
+            (local.set $stack (i32.add (local.get $stack) (i32.const 8)))
+            (br_if $pop (i64.eqz (local.get $place)))
+            (local.set $at
+                (i32.add (local.get $source) (i32.shl (i32.wrap_i64 (local.get $place)) (i32.const 3))))
+            (local.set $head (i64.load (local.get $at)))
+            ;; It was found before.
+            (br_if $pop (i64.lt_s (local.get $head) (i64.const 0)))
+            (i64.store (local.get $found) (local.get $place))
+            (i64.store offset=8 (local.get $found) (local.get $head))
+            (local.set $found (i32.add (local.get $found) (i32.const 16)))
+            (i64.store (local.get $at)
+                (i64.sub (i64.const 0) (i64.add (local.get $top) (local.get $words))))
+            (local.set $size (i64.shr_u (local.get $head) (i64.const 32)))
+            (local.set $words (i64.add (local.get $words) (local.get $size)))
+            (local.set $record (call $record (local.get $tables) (i32.wrap_i64 (local.get $head))))
+            (local.set $stays (i32.load (local.get $record)))
+            (local.set $offset (i32.const 0))
+            (local.set $list (i32.const 0))
+            (local.set $left (i32.load offset=4 (local.get $record)))
+            (if (i32.lt_s (local.get $left) (i32.const 0))
+                (then
+                    (local.set $left (i32.sub (i32.wrap_i64 (local.get $size)) (i32.const 1))))
+                (else
+                    (local.set $list
+                        (i32.add (local.get $tables) (i32.load offset=8 (local.get $record))))))
+            (loop $references
+                (br_if $pop (i32.eqz (local.get $left)))
+                (local.set $left (i32.sub (local.get $left) (i32.const 1)))
+                (if (local.get $list)
+                    (then
+                        (local.set $offset (i32.load (local.get $list)))
+                        (local.set $list (i32.add (local.get $list) (i32.const 8)))
+                        (br_if $references (i32.eq (local.get $offset) (local.get $stays))))
+                    (else
+                        (local.set $offset (i32.add (local.get $offset) (i32.const 8)))))
+                (local.set $place (i64.load (i32.add (local.get $at) (local.get $offset))))
+                (br_if $references (i64.eqz (local.get $place)))
+                (local.set $stack (i32.sub (local.get $stack) (i32.const 8)))
+                (i64.store (local.get $stack) (local.get $place))
+                (br $references))))
+    (i64.store (local.get $found) (i64.const 0))
+    (local.get $words))
+
+;; Writes the copies one behind the other, their references led to copies.
+(func $write
+    (param $tables i32) (param $source i32) (param $target i32) (param $top i64) (param $found i32)
+    (local $into i32) (local $place i64) (local $at i32) (local $head i64) (local $bytes i32)
+    (local $record i32) (local $left i32) (local $stays i32) (local $list i32) (local $slot i32)
+    (local.set $into
+        (i32.add (local.get $target) (i32.shl (i32.wrap_i64 (local.get $top)) (i32.const 3))))
+    (block $done
+        (loop $things
+            (br_if $done (i64.eqz (local.tee $place (i64.load (local.get $found)))))
+            (local.set $at
+                (i32.add (local.get $source) (i32.shl (i32.wrap_i64 (local.get $place)) (i32.const 3))))
+            (local.set $head (i64.load offset=8 (local.get $found)))
+            (local.set $bytes
+                (i32.shl (i32.wrap_i64 (i64.shr_u (local.get $head) (i64.const 32))) (i32.const 3)))
+            (call $move (local.get $into) (local.get $at) (local.get $bytes))
+            (i64.store (local.get $into) (local.get $head))
+            (local.set $record (call $record (local.get $tables) (i32.wrap_i64 (local.get $head))))
+            (local.set $left (i32.load offset=4 (local.get $record)))
+            (if (i32.lt_s (local.get $left) (i32.const 0))
+                (then
+                    (call $translate (local.get $source)
+                        (i32.add (local.get $into) (i32.const 8))
+                        (i32.sub (i32.shr_u (local.get $bytes) (i32.const 3)) (i32.const 1))))
+                (else
+                    (local.set $stays (i32.load (local.get $record)))
+                    (if (local.get $stays)
+                        (then
+                            (i64.store
+                                (i32.add (local.get $into) (local.get $stays)) (i64.const 0))))
+                    (local.set $list
+                        (i32.add (local.get $tables) (i32.load offset=8 (local.get $record))))
+                    (block $translated
+                        (loop $references
+                            (br_if $translated (i32.eqz (local.get $left)))
+                            (call $translate (local.get $source)
+                                (i32.add (local.get $into) (i32.load (local.get $list)))
+                                (i32.const 1))
+                            (local.set $list (i32.add (local.get $list) (i32.const 8)))
+                            (local.set $left (i32.sub (local.get $left) (i32.const 1)))
+                            (br $references)))))
+            (local.set $into (i32.add (local.get $into) (local.get $bytes)))
+            (local.set $found (i32.add (local.get $found) (i32.const 16)))
+            (br $things))))
+
+;; Leads $count references in a row to the copies.
+(func $translate (param $source i32) (param $slot i32) (param $count i32)
+    (local $place i64)
+    (block $done
+        (loop $next
+            (br_if $done (i32.eqz (local.get $count)))
+            (if (i64.ne (local.tee $place (i64.load (local.get $slot))) (i64.const 0))
+                (then
+                    (i64.store (local.get $slot)
+                        (i64.sub
+                            (i64.const 0)
+                            (i64.load
+                                (i32.add (local.get $source)
+                                    (i32.shl (i32.wrap_i64 (local.get $place)) (i32.const 3))))))))
+            (local.set $slot (i32.add (local.get $slot) (i32.const 8)))
+            (local.set $count (i32.sub (local.get $count) (i32.const 1)))
+            (br $next))))
+
+;; Gives the source its headers back.
+(func $restore (param $source i32) (param $found i32)
+    (local $place i64)
+    (block $done
+        (loop $next
+            (br_if $done (i64.eqz (local.tee $place (i64.load (local.get $found)))))
+            (i64.store
+                (i32.add (local.get $source) (i32.shl (i32.wrap_i64 (local.get $place)) (i32.const 3)))
+                (i64.load offset=8 (local.get $found)))
+            (local.set $found (i32.add (local.get $found) (i32.const 16)))
+            (br $next))))

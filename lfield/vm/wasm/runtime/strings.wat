@@ -1,0 +1,260 @@
+;; The library's strings (table J.9), as lfield/vm/reference/library.py tells them in Python: the same bytes.
+;;
+;; $base is the address of the block, a string a place in it. What makes a string puts it at $top when there is
+;; room before $end and it has at most $most characters, and gives its size in words. Where Python would raise
+;; (null, a bad index, no room, too long), and in a few rare cases more, 0 words are given and nothing that
+;; matters is written: the reference engine does that instruction.
+
+;; How many characters there are in some bytes: those that do not go on with another one.
+(func $characters (param $at i32) (param $count i32) (result i32)
+    (local $found i32) (local $word i64)
+    (local.set $found (local.get $count))
+    (block $done
+        (loop $words
+            (br_if $done (i32.lt_u (local.get $count) (i32.const 8)))
+            (local.set $word (i64.load align=1 (local.get $at)))
+            (local.set $found
+                (i32.sub
+                    (local.get $found)
+                    (i32.wrap_i64
+                        (i64.popcnt
+                            (i64.and
+                                (i64.and
+                                    (local.get $word)
+                                    (i64.const 0x8080808080808080))
+                                (i64.xor
+                                    (i64.shl (local.get $word) (i64.const 1))
+                                    (i64.const -1)))))))
+            (local.set $at (i32.add (local.get $at) (i32.const 8)))
+            (local.set $count (i32.sub (local.get $count) (i32.const 8)))
+            (br $words)))
+    (block $done
+        (loop $bytes
+            (br_if $done (i32.eqz (local.get $count)))
+            (local.set $found
+                (i32.sub
+                    (local.get $found)
+                    (i32.eq
+                        (i32.and (i32.load8_u (local.get $at)) (i32.const 0xC0))
+                        (i32.const 0x80))))
+            (local.set $at (i32.add (local.get $at) (i32.const 1)))
+            (local.set $count (i32.sub (local.get $count) (i32.const 1)))
+            (br $bytes)))
+    (local.get $found))
+
+;; The address behind $wanted characters, which there are.
+(func $skip (param $at i32) (param $wanted i32) (result i32)
+    (block $done
+        (loop $next
+            (br_if $done (i32.eqz (local.get $wanted)))
+            (local.set $wanted (i32.sub (local.get $wanted) (i32.const 1)))
+            (local.set $at
+                (i32.add
+                    (local.get $at)
+                    (i32.add
+                        (i32.const 1)
+                        (i32.add
+                            (i32.ge_u (i32.load8_u (local.get $at)) (i32.const 0xC0))
+                            (i32.add
+                                (i32.ge_u (i32.load8_u (local.get $at)) (i32.const 0xE0))
+                                (i32.ge_u (i32.load8_u (local.get $at)) (i32.const 0xF0)))))))
+            (br $next)))
+    (local.get $at))
+
+;; The header of a string of so many bytes at $top, with 0 in its last word; its size, 0 without room.
+(func $begin_string (param $base i32) (param $top i64) (param $end i64) (param $bytes i32) (result i64)
+    (local $words i64) (local $at i32)
+    (local.set $words
+        (i64.add
+            (i64.const 2)
+            (i64.shr_u (i64.add (i64.extend_i32_u (local.get $bytes)) (i64.const 7)) (i64.const 3))))
+    (if (i64.gt_u (i64.add (local.get $top) (local.get $words)) (local.get $end))
+        (then (return (i64.const 0))))
+    (local.set $at (call $at (local.get $base) (local.get $top)))
+    (i64.store
+        (call $at (local.get $at) (i64.sub (local.get $words) (i64.const 1)))
+        (i64.const 0))
+    (i64.store (local.get $at) (i64.or (i64.const 3) (i64.shl (local.get $words) (i64.const 32))))
+    (i64.store offset=8 (local.get $at) (i64.extend_i32_u (local.get $bytes)))
+    (local.get $words))
+
+(func $str_concat (export "str_concat")
+    (param $base i32) (param $top i64) (param $end i64) (param $most i64)
+    (param $left i64) (param $right i64)
+    (result i64)
+    (local $first i32) (local $second i32) (local $before i32) (local $behind i32) (local $words i64)
+    (local $into i32)
+    (if (i32.or (i64.eqz (local.get $left)) (i64.eqz (local.get $right)))
+        (then (return (i64.const 0))))
+    (local.set $first (call $at (local.get $base) (local.get $left)))
+    (local.set $second (call $at (local.get $base) (local.get $right)))
+    (local.set $before (i32.load offset=8 (local.get $first)))
+    (local.set $behind (i32.load offset=8 (local.get $second)))
+    ;; There are no more characters than bytes. Python counts them where that is not enough.
+    (if (i64.gt_u
+            (i64.extend_i32_u (i32.add (local.get $before) (local.get $behind)))
+            (local.get $most))
+        (then (return (i64.const 0))))
+    (local.set $words
+        (call $begin_string (local.get $base) (local.get $top) (local.get $end)
+            (i32.add (local.get $before) (local.get $behind))))
+    (if (i64.eqz (local.get $words)) (then (return (i64.const 0))))
+    (local.set $into (i32.add (call $at (local.get $base) (local.get $top)) (i32.const 16)))
+    (call $move (local.get $into) (i32.add (local.get $first) (i32.const 16)) (local.get $before))
+    (call $move
+        (i32.add (local.get $into) (local.get $before))
+        (i32.add (local.get $second) (i32.const 16))
+        (local.get $behind))
+    (local.get $words))
+
+;; How many characters a string has; -1 for null.
+(func $str_len (export "str_len") (param $base i32) (param $place i64) (result i64)
+    (local $at i32)
+    (if (i64.eqz (local.get $place)) (then (return (i64.const -1))))
+    (local.set $at (call $at (local.get $base) (local.get $place)))
+    (i64.extend_i32_u
+        (call $characters
+            (i32.add (local.get $at) (i32.const 16))
+            (i32.load offset=8 (local.get $at)))))
+
+;; Which of two strings is first: -1, 0 or 1. The order of UTF-8 is that of the characters.
+(func $compare_strings (param $base i32) (param $left i64) (param $right i64) (result i32)
+    (local $first i32) (local $second i32) (local $before i32) (local $behind i32) (local $count i32)
+    (local $a i64) (local $b i64)
+    (local.set $first (call $at (local.get $base) (local.get $left)))
+    (local.set $second (call $at (local.get $base) (local.get $right)))
+    (local.set $before (i32.load offset=8 (local.get $first)))
+    (local.set $behind (i32.load offset=8 (local.get $second)))
+    (local.set $first (i32.add (local.get $first) (i32.const 16)))
+    (local.set $second (i32.add (local.get $second) (i32.const 16)))
+    (local.set $count
+        (select
+            (local.get $before)
+            (local.get $behind)
+            (i32.lt_u (local.get $before) (local.get $behind))))
+    (block $words
+        (loop $next
+            (br_if $words (i32.lt_u (local.get $count) (i32.const 8)))
+            (br_if $words
+                (i64.ne (i64.load align=1 (local.get $first)) (i64.load align=1 (local.get $second))))
+            (local.set $first (i32.add (local.get $first) (i32.const 8)))
+            (local.set $second (i32.add (local.get $second) (i32.const 8)))
+            (local.set $count (i32.sub (local.get $count) (i32.const 8)))
+            (br $next)))
+    (block $bytes
+        (loop $next
+            (br_if $bytes (i32.eqz (local.get $count)))
+            (local.set $a (i64.load8_u (local.get $first)))
+            (local.set $b (i64.load8_u (local.get $second)))
+            (if (i64.ne (local.get $a) (local.get $b))
+                (then
+                    (return
+                        (i32.sub
+                            (i64.gt_u (local.get $a) (local.get $b))
+                            (i64.lt_u (local.get $a) (local.get $b))))))
+            (local.set $first (i32.add (local.get $first) (i32.const 1)))
+            (local.set $second (i32.add (local.get $second) (i32.const 1)))
+            (local.set $count (i32.sub (local.get $count) (i32.const 1)))
+            (br $next)))
+    (i32.sub
+        (i32.gt_u (local.get $before) (local.get $behind))
+        (i32.lt_u (local.get $before) (local.get $behind))))
+
+;; Whether two strings are equal; null equals null only.
+(func $str_equal (export "str_equal") (param $base i32) (param $left i64) (param $right i64) (result i32)
+    (if (i64.eq (local.get $left) (local.get $right)) (then (return (i32.const 1))))
+    (if (i32.or (i64.eqz (local.get $left)) (i64.eqz (local.get $right)))
+        (then (return (i32.const 0))))
+    (if (i64.ne
+            (i64.load offset=8 (call $at (local.get $base) (local.get $left)))
+            (i64.load offset=8 (call $at (local.get $base) (local.get $right))))
+        (then (return (i32.const 0))))
+    (i32.eqz (call $compare_strings (local.get $base) (local.get $left) (local.get $right))))
+
+;; Which of two strings is first: -1, 0 or 1; 2 when one is null, which has no order.
+(func $str_order (export "str_order") (param $base i32) (param $left i64) (param $right i64) (result i32)
+    (if (i32.or (i64.eqz (local.get $left)) (i64.eqz (local.get $right)))
+        (then (return (i32.const 2))))
+    (call $compare_strings (local.get $base) (local.get $left) (local.get $right)))
+
+(func $substring (export "substring")
+    (param $base i32) (param $top i64) (param $end i64) (param $most i64)
+    (param $place i64) (param $start i64) (param $stop i64)
+    (result i64)
+    (local $at i32) (local $bytes i32) (local $count i32) (local $from i32) (local $to i32) (local $words i64)
+    (if (i64.eqz (local.get $place)) (then (return (i64.const 0))))
+    (local.set $at (call $at (local.get $base) (local.get $place)))
+    (local.set $bytes (i32.load offset=8 (local.get $at)))
+    (local.set $at (i32.add (local.get $at) (i32.const 16)))
+    (local.set $count (call $characters (local.get $at) (local.get $bytes)))
+    (if (i32.or
+            (i64.gt_u (local.get $start) (local.get $stop))
+            (i64.gt_u (local.get $stop) (i64.extend_i32_u (local.get $count))))
+        (then (return (i64.const 0))))
+    (if (i64.gt_u (i64.sub (local.get $stop) (local.get $start)) (local.get $most))
+        (then (return (i64.const 0))))
+    (if (i32.eq (local.get $count) (local.get $bytes))
+        (then
+            (local.set $from (i32.add (local.get $at) (i32.wrap_i64 (local.get $start))))
+            (local.set $to (i32.add (local.get $at) (i32.wrap_i64 (local.get $stop)))))
+        (else
+            (local.set $from (call $skip (local.get $at) (i32.wrap_i64 (local.get $start))))
+            (local.set $to
+                (call $skip
+                    (local.get $from)
+                    (i32.wrap_i64 (i64.sub (local.get $stop) (local.get $start)))))))
+    (local.set $bytes (i32.sub (local.get $to) (local.get $from)))
+    (local.set $words
+        (call $begin_string (local.get $base) (local.get $top) (local.get $end) (local.get $bytes)))
+    (if (i64.eqz (local.get $words)) (then (return (i64.const 0))))
+    (call $move
+        (i32.add (call $at (local.get $base) (local.get $top)) (i32.const 16))
+        (local.get $from)
+        (local.get $bytes))
+    (local.get $words))
+
+;; Where the second string first occurs in the first, in characters; -1: nowhere. -2 for null, and where the
+;; way to look for it here, which is to try every place, might take long.
+(func $index_of (export "index_of") (param $base i32) (param $place i64) (param $wanted i64) (result i64)
+    (local $at i32) (local $text i32) (local $sought i32) (local $bytes i32) (local $length i32)
+    (local $last i32) (local $first i32) (local $same i32)
+    (if (i32.or (i64.eqz (local.get $place)) (i64.eqz (local.get $wanted)))
+        (then (return (i64.const -2))))
+    (local.set $text (call $at (local.get $base) (local.get $place)))
+    (local.set $sought (call $at (local.get $base) (local.get $wanted)))
+    (local.set $bytes (i32.load offset=8 (local.get $text)))
+    (local.set $length (i32.load offset=8 (local.get $sought)))
+    (if (i32.eqz (local.get $length)) (then (return (i64.const 0))))
+    (if (i32.gt_u (local.get $length) (local.get $bytes)) (then (return (i64.const -1))))
+    (if (i32.and
+            (i32.gt_u (local.get $length) (i32.const 16))
+            (i32.gt_u (local.get $bytes) (i32.const 4096)))
+        (then (return (i64.const -2))))
+    (local.set $text (i32.add (local.get $text) (i32.const 16)))
+    (local.set $sought (i32.add (local.get $sought) (i32.const 16)))
+    (local.set $first (i32.load8_u (local.get $sought)))
+    (local.set $at (local.get $text))
+    (local.set $last
+        (i32.add (local.get $text) (i32.sub (local.get $bytes) (local.get $length))))
+    (loop $next
+        (if (i32.eq (i32.load8_u (local.get $at)) (local.get $first))
+            (then
+                (local.set $same (i32.const 1))
+                (block $differs
+                    (loop $compare
+                        (if (i32.eq (local.get $same) (local.get $length))
+                            (then
+                                (return
+                                    (i64.extend_i32_u
+                                        (call $characters
+                                            (local.get $text)
+                                            (i32.sub (local.get $at) (local.get $text)))))))
+                        (br_if $differs
+                            (i32.ne
+                                (i32.load8_u (i32.add (local.get $at) (local.get $same)))
+                                (i32.load8_u (i32.add (local.get $sought) (local.get $same)))))
+                        (local.set $same (i32.add (local.get $same) (i32.const 1)))
+                        (br $compare)))))
+        (local.set $at (i32.add (local.get $at) (i32.const 1)))
+        (br_if $next (i32.le_u (local.get $at) (local.get $last))))
+    (i64.const -1))

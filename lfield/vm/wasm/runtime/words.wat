@@ -1,0 +1,43 @@
+;; What everything here uses: records of the tables, and moving words and bytes.
+;;
+;; The tables of a program (tables.py): eight addresses, by kind, of records of 16 bytes, by index. Addresses
+;; in them count from the table's own beginning. A record: a number of its own use, how many references (-1:
+;; all words behind the header), the address of their list, another number. An entry of a list: the offset of
+;; a reference in bytes, and what it leads to.
+
+(func $record (param $tables i32) (param $half i32) (result i32)
+    (i32.add
+        (i32.add
+            (local.get $tables)
+            (i32.load
+                (i32.add
+                    (local.get $tables)
+                    (i32.shl (i32.and (local.get $half) (i32.const 7)) (i32.const 2)))))
+        (i32.shl (i32.shr_u (local.get $half) (i32.const 8)) (i32.const 4))))
+
+;; The address of a place of a block.
+(func $at (param $base i32) (param $place i64) (result i32)
+    (i32.add (local.get $base) (i32.shl (i32.wrap_i64 (local.get $place)) (i32.const 3))))
+
+;; Moves bytes; few of them are sooner moved here than by the host's own way.
+(func $move (param $to i32) (param $from i32) (param $count i32)
+    (if (i32.gt_u (local.get $count) (i32.const 256))
+        (then
+            (memory.copy (local.get $to) (local.get $from) (local.get $count))
+            (return)))
+    (block $done
+        (loop $words
+            (br_if $done (i32.lt_u (local.get $count) (i32.const 8)))
+            (i64.store align=1 (local.get $to) (i64.load align=1 (local.get $from)))
+            (local.set $to (i32.add (local.get $to) (i32.const 8)))
+            (local.set $from (i32.add (local.get $from) (i32.const 8)))
+            (local.set $count (i32.sub (local.get $count) (i32.const 8)))
+            (br $words)))
+    (block $done
+        (loop $bytes
+            (br_if $done (i32.eqz (local.get $count)))
+            (i32.store8 (local.get $to) (i32.load8_u (local.get $from)))
+            (local.set $to (i32.add (local.get $to) (i32.const 1)))
+            (local.set $from (i32.add (local.get $from) (i32.const 1)))
+            (local.set $count (i32.sub (local.get $count) (i32.const 1)))
+            (br $bytes))))

@@ -1,0 +1,128 @@
+"""Engines with a fault in each, as somebody could make it: the fuzzer must find every one."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+from lfield.bytecode.opcodes import BY_NAME
+from lfield.bytecode.program import Core, Program, encode_quads
+from lfield.vm.contract import Blocked, Exit, Limits, NoRoom, Outside, Reading, Spent
+from lfield.vm.memory import layout
+from lfield.vm.memory.block import Block
+from lfield.vm.memory.layout import FRAME_CALLER, FRAME_RETURN, THREAD_FRAME
+from lfield.vm.memory.values import NAN_WORD
+from lfield.vm.reference import Engine
+
+
+class WrongOpcode(Engine):
+    """Takes subtraction for addition."""
+
+    def __init__(self, program: Program, now: Callable[[], float]) -> None:
+        plus, minus = BY_NAME["addf"].code, BY_NAME["subf"].code
+        quads = [quad._replace(op=minus) if quad.op == plus else quad for quad in program.quads]
+        fields = [getattr(program.core, name) for name in Core.__struct_fields__[:-1]]
+        super().__init__(Program(Core(*fields, encode_quads(quads)), program.debug, program.digest), now)
+
+
+class _Changed(Engine):
+    """Does something else at the end of each run."""
+
+    extra = 0
+
+    def run(
+        self,
+        block: Block,
+        thread: int,
+        budget: int,
+        limits: Limits,
+        readings: Sequence[Reading | None] = (),
+        stops: object = None,
+    ) -> Exit:
+        self.extra = 0
+        leave = super().run(block, thread, budget, self.limits(limits), readings)
+        return self.changed(leave, block, thread)
+
+    def limits(self, limits: Limits) -> Limits:
+        return limits
+
+    def changed(self, leave: Exit, block: Block, thread: int) -> Exit:
+        return leave
+
+    @property
+    def unused(self) -> int:
+        return super().unused + self.extra
+
+
+class WrongBudget(_Changed):
+    """Does not charge for the instruction that lacks room."""
+
+    def changed(self, leave: Exit, block: Block, thread: int) -> Exit:
+        self.extra = int(isinstance(leave, NoRoom))
+        return leave
+
+
+class WrongDepth(_Changed):
+    """Lets calls be nested one deeper."""
+
+    def limits(self, limits: Limits) -> Limits:
+        return replace(limits, call_depth=limits.call_depth + 1)
+
+
+class WrongFrame(_Changed):
+    """Forgets to write where a caller goes on, when a slice ends in a call."""
+
+    def changed(self, leave: Exit, block: Block, thread: int) -> Exit:
+        frame = block.w[thread + THREAD_FRAME]
+        if isinstance(leave, Spent) and block.w[frame + FRAME_CALLER]:
+            block.w[frame + FRAME_RETURN] = 0
+        return leave
+
+
+class WrongNan(_Changed):
+    """Has another NaN than the reference engine."""
+
+    def changed(self, leave: Exit, block: Block, thread: int) -> Exit:
+        for place in range(layout.HEADER_WORDS, block.top):
+            if block.w[place] == NAN_WORD:
+                block.w[place] |= -(1 << 63)
+        return leave
+
+
+class WrongMonitor(_Changed):
+    """Counts a monitor that it did not get."""
+
+    def changed(self, leave: Exit, block: Block, thread: int) -> Exit:
+        if isinstance(leave, Blocked):
+            block.w[layout.W_ENTRIES] += 1
+        return leave
+
+
+class WrongTop(_Changed):
+    """Leaves a word on the heap when it asks the machine for something."""
+
+    def changed(self, leave: Exit, block: Block, thread: int) -> Exit:
+        if isinstance(leave, Outside) and len(leave.words) == 3:
+            block.top += 1
+        return leave
+
+
+class Crashing(_Changed):
+    """Fails where there is no room."""
+
+    def changed(self, leave: Exit, block: Block, thread: int) -> Exit:
+        if isinstance(leave, NoRoom):
+            raise MemoryError("out of bounds memory access")
+        return leave
+
+
+PLANTED = (
+    WrongOpcode,
+    WrongBudget,
+    WrongDepth,
+    WrongFrame,
+    WrongNan,
+    WrongMonitor,
+    WrongTop,
+    Crashing,
+)

@@ -1,0 +1,114 @@
+"""Reals that maths is tried with, by seed; and the functions as WebAssembly, run over many at once."""
+
+from __future__ import annotations
+
+import ctypes
+import math
+import random
+from array import array
+from collections.abc import Callable
+from inspect import signature
+
+import wasmtime
+
+from lfield.vm.maths.library import MATHS
+from lfield.vm.memory.values import canonical, real_of
+from lfield.vm.wasm.lower.maths import maths_name, maths_text
+
+#: Where somebody might have made a mistake.
+EDGES = [
+    *(0.0, 5e-324, 2.2250738585072009e-308, 2.2250738585072014e-308, 1e-160, 1e-17, 7.4505805969238281e-09),
+    *(0.25, 0.5, 0.7071067811865476, 0.7853981633974483, 1.0, 1.4142135623730951, 1.5, 2.0, 2.5, 3.0, 10.0),
+    *(0.9999999999999999, 1.0000000000000002, 709.782712893384, 709.8, 745.13, 745.2, 799999.9, 800000.0),
+    *(4503599627370495.5, 4503599627370496.0, 9007199254740991.0, 9007199254740992.0, 9.3e18, 1e22, 1e300),
+    *(6381956970095103 * 2.0**797, 1.7976931348623157e308, math.inf, math.nan, math.pi, math.pi / 2, math.e),
+]
+EDGES += [-x for x in EDGES]
+
+
+def arity(name: str) -> int:
+    """How many reals the function of an instruction takes."""
+    return len(signature(MATHS[name]).parameters)
+
+
+def any_real(dice: random.Random) -> float:
+    """An edge, any bits at all, a multiple of pi / 2, or something people calculate with."""
+    match dice.randrange(8):
+        case 0:
+            return dice.choice(EDGES)
+        case 1 | 2:
+            return canonical(real_of(dice.getrandbits(64) - (1 << 63)))
+        case 3:
+            return dice.randrange(-(1 << dice.randrange(1, 53)), 1 << 53) * math.pi / 2
+        case 4:
+            return math.copysign(1.0 - dice.random() ** 12, dice.random() - 0.5)
+        case 5:
+            return dice.uniform(-2000.0, 2000.0)
+        case 6:
+            return float(dice.randrange(-40, 41)) / 2
+        case _:
+            return math.ldexp(dice.uniform(-1.0, 1.0), dice.randrange(-60, 60))
+
+
+def arguments(name: str, count: int, seed: int) -> list[tuple[float, ...]]:
+    """So many arguments for a function; two reals are near to one another now and then."""
+    dice = random.Random(f"{name} {seed}")
+    found = [tuple(any_real(dice) for _ in range(arity(name))) for _ in range(count)]
+    if arity(name) == 1:
+        return found
+    if name == "pow":
+        return [_bounded(x, y, dice) if dice.random() < 0.5 else (x, y) for x, y in found]
+    return [(y, y * dice.uniform(-3.0, 3.0)) if dice.random() < 0.3 else (y, x) for y, x in found]
+
+
+def _bounded(x: float, y: float, dice: random.Random) -> tuple[float, ...]:
+    """Two reals whose power is a real."""
+    size = abs(x)
+    if not 0.0 < size < math.inf or size == 1.0:
+        return x, y
+    return size, dice.uniform(-745.0, 709.0) / math.log(size)
+
+
+class Lowered:
+    """Every function of the maths as WebAssembly, from one array of reals to another."""
+
+    def __init__(self) -> None:
+        loops = "\n".join(self._loop(name) for name in MATHS)
+        engine = wasmtime.Engine()
+        self._store = wasmtime.Store(engine)
+        text = f'(module (memory (export "memory") 64)\n{maths_text(MATHS)}\n{loops})'
+        instance = wasmtime.Instance(self._store, wasmtime.Module(engine, text), [])
+        self._exports = instance.exports(self._store)
+
+    def _loop(self, name: str) -> str:
+        taken = arity(name)
+        loads = " ".join(f"(f64.load offset={8 * k} (local.get 0))" for k in range(taken))
+        return f"""(func (export "{name}") (param i32 i32)
+          loop $again
+            (f64.store (local.get 0) (call {maths_name(name)} {loads}))
+            (local.set 0 (i32.add (local.get 0) (i32.const {8 * taken})))
+            (br_if $again (i32.lt_u (local.get 0) (local.get 1)))
+          end)"""
+
+    def run(self, name: str, values: list[tuple[float, ...]]) -> list[float]:
+        """The results for all arguments, at most half a million reals."""
+        flat = array("d", [x for row in values for x in row])
+        memory = self._exports["memory"]
+        pointer = memory.data_ptr(self._store)
+        ctypes.memmove(pointer, flat.tobytes(), 8 * len(flat))
+        self._exports[name](self._store, 0, 8 * len(flat))
+        results = array("d")
+        results.frombytes(ctypes.string_at(pointer, 8 * len(flat)))
+        return list(results)[:: arity(name)]
+
+
+def differing(lowered: Lowered, name: str, values: list[tuple[float, ...]]) -> list[str]:
+    """Where WebAssembly has other bits than Python; a NaN is a NaN there."""
+    function: Callable[..., float] = MATHS[name]
+    theirs = lowered.run(name, values)
+    found = []
+    for row, their in zip(values, theirs, strict=True):
+        mine = function(*row)
+        if mine.hex() != their.hex():
+            found.append(f"{name}{row}: {mine.hex()} and {their.hex()}")
+    return found

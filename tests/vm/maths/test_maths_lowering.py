@@ -1,0 +1,55 @@
+"""WebAssembly and Python give the same bits for the maths of L, whatever the argument."""
+
+from __future__ import annotations
+
+import pytest
+import strange_maths
+from maths_values import EDGES, Lowered, arguments, arity, differing
+
+from lfield.vm.maths.library import MATHS
+from lfield.vm.wasm.lower.maths import functions_text, maths_text
+
+
+@pytest.fixture(scope="module")
+def lowered() -> Lowered:
+    return Lowered()
+
+
+@pytest.mark.parametrize("name", MATHS)
+def test_edges(name: str, lowered: Lowered) -> None:
+    single = [(x,) for x in EDGES]
+    pairs = [(y, x) for y in EDGES for x in EDGES]
+    assert differing(lowered, name, single if arity(name) == 1 else pairs) == []
+
+
+@pytest.mark.parametrize("name", MATHS)
+def test_many(name: str, lowered: Lowered) -> None:
+    """`tests/vm/maths/maths_many.py` takes millions."""
+    assert differing(lowered, name, arguments(name, 4000, seed=1)) == []
+
+
+def test_a_planted_fault_is_found(lowered: Lowered, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(MATHS, "sin", MATHS["cos"])
+    assert len(differing(lowered, "sin", arguments("sin", 100, seed=1))) > 50
+
+
+def test_only_what_is_needed_is_there() -> None:
+    text = maths_text(["sqrt", "floor"])
+    assert text.count("(func ") == 2
+    assert maths_text(["asin"]).count("(func ") < maths_text(MATHS).count("(func ")
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        ("power", "'x ** 2.0' in power has no WebAssembly"),
+        ("mixed", "'x + 1' in mixed has no WebAssembly"),
+        ("number_as_condition", "'x' in number_as_condition has no WebAssembly"),
+        ("two_types", "y in two_types is of two types"),
+        ("unknown", "'sorted((x, 1.0))[0]' in unknown has no WebAssembly"),
+    ],
+)
+def test_what_is_beyond_the_subset_is_refused(name: str, said: str) -> None:
+    with pytest.raises(TypeError) as refused:
+        functions_text([getattr(strange_maths, name)])
+    assert str(refused.value).startswith(said)

@@ -1,0 +1,145 @@
+"""Random programs and random heaps of theirs: all kinds of things, references to what slots may hold."""
+
+from __future__ import annotations
+
+import random
+from functools import cache
+
+from lfield.bytecode.program import Program
+from lfield.testing.golden import compile_text
+from lfield.vm.memory import layout
+from lfield.vm.memory.block import Block
+from lfield.vm.memory.layout import Layouts
+from lfield.vm.memory.shapes import ANY_FRAME, ANY_OBJECT, Shapes
+from lfield.vm.memory.space import Space
+from lfield.vm.wasm.heaps import Heaps
+
+#: What fields may be, C standing for some class.
+TYPES = ("int", "real", "boolean", "string", "C", "C[]", "int[]", "real[]", "string[]", "C[][]", "int[][]")
+#: The team: two resources of different types, and who goes round.
+MEMBERS = ("R", "Q", "Boss")
+LIMIT = 1 << 17
+#: Texts of one to four bytes for a character, and of all lengths around a word.
+LETTERS = "aZ0 é߿ࠀ€퟿\ue000\uffff\U00010000\U0010ffff"
+
+PROGRAM = """
+{classes}
+resource R {{
+    C0 mine;
+    init(string[] arg) {{ while (true) yield(); }}
+    portal ask(int n, string s) emit C0 {{ return mine; }}
+}}
+resource Q {{ init(string[] arg) {{ }} }}
+coordinator Boss {{
+    R r; Q[] all; {fields}
+    init(string[] arg) {{
+        r = findR("r"); all = findQ();
+        C0[] got = new C0[3]; C0 one; R[] rs = findR();
+        try {{ work(1, "x", got); throw new C0(); }}
+        catch (C0 e) {{ together {{ got[1] = rs[0].ask(1, "a"); one = rs[1].ask(2, "b"); }} }}
+    }}
+    private int work(int a, string b, C0[] c) {{ real x = 1.5; C0 d = c[0]; r.ask(a, b); return a; }}
+}}
+"""
+
+
+@cache
+def random_program(seed: int) -> Program:
+    """A program with a few classes that have fields of all types."""
+    dice = random.Random(seed)
+    count = dice.randint(1, 4)
+
+    def fields() -> str:
+        kinds = (
+            dice.choice(TYPES).replace("C", f"C{dice.randrange(count)}") for _ in range(dice.randint(0, 7))
+        )
+        return " ".join(f"public {kind} f{i};" for i, kind in enumerate(kinds))
+
+    classes = "\n".join(f"class C{i} {{ {fields()} }}" for i in range(count))
+    return compile_text(PROGRAM.format(classes=classes, fields=fields().replace("public ", "")))
+
+
+@cache
+def layouts_of(program: Program) -> Layouts:
+    return Layouts(program)
+
+
+@cache
+def shapes_of(program: Program) -> Shapes:
+    return Shapes(program, layouts_of(program), MEMBERS)
+
+
+@cache
+def heaps() -> Heaps:
+    """One arena for all of these tests: regions are used again and again, with whatever is in them."""
+    return Heaps()
+
+
+class RandomHeap:
+    """A block with a random heap. `tickets`: there may be some, which mean nothing."""
+
+    def __init__(self, seed: int, *, version: int = layout.VERSION, tickets: bool = True) -> None:
+        self.program = random_program(seed % 23)
+        self.layouts, self.shapes = layouts_of(self.program), shapes_of(self.program)
+        self.dice = random.Random(seed)
+        self.block = Block.empty(self.program.digest, LIMIT)
+        self.block.replace(bytearray(8 * 16384), layout.HEADERS[version])
+        w = self.block.w
+        w[:5] = memoryview(Block.empty(self.program.digest, LIMIT).data).cast("q")[:5]
+        w[layout.W_MAGIC] = layout.MAGIC | version << 32
+        halves = [half for half in self.shapes.sizes if tickets or half & 0xFF != layout.TICKET]
+        self.places = [self._thing(half) for half in self.dice.choices(halves, k=self.dice.randint(1, 40))]
+        for place in filter(None, self.places):
+            self._lead(place)
+        self.places = [place for place in self.places if place]
+        for word, wanted in ((layout.W_SELF, ANY_OBJECT), (layout.W_ID, layout.STRING)):
+            w[word] = self.some(wanted)
+        w[layout.W_THREADS] = self.some(layout.THREAD)
+        w[layout.W_TOP] = self.block.top
+
+    def some(self, expected: int) -> int:
+        """Something that a reference may lead to which expects this, or null."""
+        w, shapes = self.block.w, self.shapes
+        found = [
+            place
+            for place in self.places
+            if place
+            and (w[place] & 0xFFFFFFFF == expected or shapes.is_kind(w[place] & 0xFFFFFFFF, expected))
+        ]
+        return self.dice.choice([0, *found, *found])
+
+    def _thing(self, half: int) -> int:
+        """One thing, its words at random; 0 when it cannot be."""
+        dice, block, kind = self.dice, self.block, half & 0xFF
+        if kind == layout.STRING:
+            return block.new_string("".join(dice.choices(LETTERS, k=dice.choice([0, 1, 3, 8, 30]))))
+        size = self.shapes.sizes[half] or 1 + dice.choice([0, 1, 2, 5, 40])
+        place = block.allocate(kind, half >> 8, size)
+        for i in range(place + 1, place + size):
+            block.w[i] = dice.choice([0, 1, -1, dice.getrandbits(63), -dice.getrandbits(62)])
+        if kind == layout.PROXY:
+            members = [i for i, of in enumerate(self.shapes.members) if of == half >> 8]
+            if not members:
+                block.top = place
+                return 0
+            block.w[place + 1], block.w[place + 2] = dice.choice(members), dice.getrandbits(20)
+        return place
+
+    def _lead(self, place: int) -> None:
+        """Let the references of a thing lead somewhere."""
+        w = self.block.w
+        expects = dict(self.shapes.references(w[place]))
+        for offset in self.layouts.references(w[place]):
+            otherwise = layout.THREAD if offset == layout.THREAD_NEXT else ANY_FRAME
+            w[place + offset] = self.some(expects.get(offset, otherwise))
+
+    def roots(self) -> list[int]:
+        """A few references, some of them null or the same."""
+        return self.dice.choices([0, *self.places], k=self.dice.randint(0, 5))
+
+
+def twin(block: Block, space: Space) -> Block:
+    """The same block with bytes from a space."""
+    data = space.room(len(block.data))
+    data[:] = block.data
+    return Block(data, block.top, block.limit, space)

@@ -1,0 +1,110 @@
+"""What WebAssembly makes of a heap is what Python makes of it, byte for byte."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+pytest.importorskip("wasmtime", reason="the engine in WebAssembly needs wasmtime: pip install lfield[wasm]")
+
+from random_heaps import LIMIT, RandomHeap, heaps, twin
+
+from lfield.vm.memory import layout
+from lfield.vm.memory.block import Block, Full
+from lfield.vm.memory.collector import collect, compact
+from lfield.vm.memory.copier import deep_copy
+
+seeds = st.integers(0, 1 << 32)
+versions = st.sampled_from(sorted(layout.HEADERS))
+
+
+def same(here: Block, there: Block) -> None:
+    assert bytes(here.image()) == bytes(there.image())
+    assert (here.top, here.end, here.limit, len(here.w)) == (there.top, there.end, there.limit, len(there.w))
+
+
+@given(seeds, versions, st.sampled_from([0, 1, 5000, 1 << 18]))
+def test_a_collection_leaves_the_same_block(seed: int, version: int, room: int) -> None:
+    heap = RandomHeap(seed, version=version)
+    there = twin(heap.block, heaps())
+    for _ in range(2):
+        collect(heap.block, heap.layouts, room)
+        collect(there, heap.layouts, room)
+        same(heap.block, there)
+    compact(heap.block, heap.layouts)
+    compact(there, heap.layouts)
+    same(heap.block, there)
+
+
+@given(seeds)
+def test_the_python_has_nothing_to_do_where_the_arena_can(seed: int) -> None:
+    heap = RandomHeap(seed, tickets=False)
+    there, space = twin(heap.block, heaps()), heaps()
+    assert space.copied(there.data, there.top, heap.roots(), there.data, there.top, there.end, heap.layouts)
+    target = space.room(8 * there.top)
+    memoryview(target).cast("q")[: layout.HEADER_WORDS] = there.w[: layout.HEADER_WORDS]
+    assert space.walked(there.data, there.heap, there.top, heap.shapes) is not None
+    assert space.collected(there.data, target, heap.layouts)
+
+
+@given(seeds, st.booleans())
+def test_a_deep_copy_to_another_block_is_the_same(seed: int, crowded: bool) -> None:
+    heap = RandomHeap(seed)
+    there = twin(heap.block, heaps())
+    targets = [Block.empty(heap.program.digest, LIMIT), Block.empty(heap.program.digest, LIMIT, heaps())]
+    roots = heap.roots()
+    if not crowded:
+        for target in targets:
+            collect(target, heap.layouts, 16384)
+    copied(heap, roots, (heap.block, targets[0]), (there, targets[1]))
+
+
+@given(seeds, st.integers(-1, 300))
+def test_a_deep_copy_within_a_block_is_the_same_or_needs_as_much_room(seed: int, room: int) -> None:
+    heap = RandomHeap(seed)
+    there = twin(heap.block, heaps())
+    for block in (heap.block, there):
+        block.end = block.top + room
+    copied(heap, heap.roots(), (heap.block, heap.block), (there, there))
+
+
+def copied(heap: RandomHeap, roots: list[int], *pairs: tuple[Block, Block]) -> None:
+    """Both give the same copies, or lack as much room and have written nothing."""
+    outcomes = []
+    for source, target in pairs:
+        before = bytes(source.image()), bytes(target.image()), target.top
+        try:
+            outcomes.append(deep_copy(source, roots, target, heap.layouts))
+        except Full as full:
+            outcomes.append(full.words)
+            assert (bytes(source.image()), bytes(target.image()), target.top) == before
+        assert bytes(source.data[8 * layout.W_TOP + 8 : len(before[0])]) == before[0][8 * layout.W_TOP + 8 :]
+    assert outcomes[0] == outcomes[1]
+    same(pairs[0][1], pairs[1][1])
+
+
+def test_a_copy_of_many_roots_is_left_to_python() -> None:
+    heap = RandomHeap(7)
+    there = twin(heap.block, heaps())
+    roots = heap.places[:1] * 100
+    target = Block.empty(heap.program.digest, LIMIT, heaps())
+    collect(target, heap.layouts, 16384)
+    assert len(set(deep_copy(there, roots, target, heap.layouts))) == 1
+
+
+def test_one_large_array_is_moved_too() -> None:
+    heap = RandomHeap(3)
+    array = max(
+        half
+        for half in heap.shapes.sizes
+        if half & 0xFF == layout.ARRAY and not heap.shapes.expects.get(half, 1)
+    )
+    big = heap.block.allocate(layout.ARRAY, array >> 8, 10_000)
+    heap.block.w[big + 1 : big + 10_000] = memoryview(bytes(range(1, 9)) * 9_999).cast("q")
+    heap.block.w[layout.W_SELF] = big
+    there = twin(heap.block, heaps())
+    copied(heap, [big], (heap.block, heap.block), (there, there))
+    collect(heap.block, heap.layouts)
+    collect(there, heap.layouts)
+    same(heap.block, there)

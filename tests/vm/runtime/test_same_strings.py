@@ -1,0 +1,178 @@
+"""What WebAssembly makes of strings is what Python makes of them; or it says that it leaves it to Python."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cache
+
+import pytest
+from hypothesis import example, given
+from hypothesis import strategies as st
+
+pytest.importorskip("wasmtime", reason="the engine in WebAssembly needs wasmtime: pip install lfield[wasm]")
+
+from random_heaps import LETTERS, heaps, layouts_of, random_program
+
+from lfield.vm.contract import Limits, Trap
+from lfield.vm.memory.block import Block, Full
+from lfield.vm.memory.collector import collect
+from lfield.vm.memory.layout import HEADER_WORDS
+from lfield.vm.memory.space import SEPARATE
+from lfield.vm.reference.arithmetic import STRING_COMPARE
+from lfield.vm.reference.library import FUNCTIONS
+from lfield.vm.reference.registers import Registers
+from lfield.vm.wasm.calls import quick, unsigned
+
+texts = st.text(st.sampled_from(LETTERS) | st.characters(exclude_categories=("Cs",)), max_size=40)
+maybe = st.none() | texts
+
+
+@cache
+def called(name: str, count: int) -> Callable[..., int]:
+    return quick(heaps().store, heaps().functions.instance, name, count)
+
+
+class Two:
+    """The same strings in two blocks: one that Python works on, one in the arena."""
+
+    def __init__(self, *strings: str | None, room: int = 400, most: int = 100) -> None:
+        program = random_program(1)
+        self.python, self.arena = (Block.empty(program.digest, 4096, s) for s in (SEPARATE, heaps()))
+        for block in (self.python, self.arena):
+            collect(block, layouts_of(program), 2048)
+        self.places = [0 if text is None else self.python.new_string(text) for text in strings]
+        for text in strings:
+            if text is not None:
+                self.arena.new_string(text)
+        for block in (self.python, self.arena):
+            # Nothing of what lies there matters.
+            block.w[block.top :] = memoryview(b"\xaa" * 8 * (len(block.w) - block.top)).cast("q")
+            block.end = min(block.top + room, len(block.w))
+        m = self.registers = Registers()
+        m.block, m.w, m.limits = self.python, self.python.w, Limits(string_length=most)
+        self.most = most
+
+    @property
+    def base(self) -> int:
+        return heaps().base(self.arena.data)
+
+    def made(self, name: str, *numbers: int) -> bool:
+        """Whether WebAssembly makes the same string as Python; it leaves where Python raises."""
+        block = self.arena
+        size = called(name, 4 + len(numbers))(self.base, block.top, block.end, self.most, *numbers)
+        before = bytes(block.image())
+        try:
+            place = FUNCTIONS[name](self.registers, *numbers)
+        except (Trap, Full):
+            assert size == 0
+            return False
+        if not size:
+            return False
+        assert place == block.top
+        block.top += size
+        assert bytes(block.data[8 * HEADER_WORDS : len(before)]) == before[8 * HEADER_WORDS :]
+        assert bytes(block.image()) == bytes(self.python.image())
+        return True
+
+    def given(self, name: str, *numbers: int) -> int | None:
+        """The number that both give; None where WebAssembly leaves."""
+        number: int | None = called(name, 1 + len(numbers))(self.base, *numbers)
+        number = None if number == {"str_len": -1, "index_of": -2}[name] else number
+        return self.same(number, name, *numbers)
+
+    def parsed(self, place: int) -> int | None:
+        """The number that both find in a text; None where WebAssembly leaves."""
+        store = heaps().store
+        number, known = heaps().functions.instance.exports(store)["s2i"](store, self.base, place)
+        return self.same(number if known else None, "s2i", place)
+
+    def same(self, number: int | None, name: str, *numbers: int) -> int | None:
+        """The number, which Python gives too; it leaves where Python raises."""
+        try:
+            wanted = FUNCTIONS[name](self.registers, *numbers)
+        except Trap:
+            assert number is None
+        else:
+            assert number in (wanted, None)
+        return number
+
+
+@given(maybe, maybe, st.integers(0, 30), st.integers(0, 100))
+def test_concatenation(left: str | None, right: str | None, room: int, most: int) -> None:
+    two = Two(left, right, room=room, most=most)
+    made = two.made("str_concat", *two.places)
+    if left is not None and right is not None and len((left + right).encode()) <= min(most, 8 * room - 24):
+        assert made
+
+
+@given(maybe, st.integers(-1, 45), st.integers(-1, 45), st.integers(0, 30), st.integers(0, 100))
+def test_substrings(text: str | None, start: int, end: int, room: int, most: int) -> None:
+    two = Two(text, room=room, most=most)
+    made = two.made("substring", two.places[0], start, end)
+    if text is not None and 0 <= start <= end <= len(text) and end - start <= most:
+        assert made == (2 + (len(text[start:end].encode()) + 7) // 8 <= room)
+
+
+@given(maybe)
+def test_lengths(text: str | None) -> None:
+    two = Two(text)
+    assert two.given("str_len", two.places[0]) == (None if text is None else len(text))
+
+
+@given(st.text("aé", max_size=60), st.text("aé", max_size=5))
+@example("", "")
+@example("é" * 3000, "a")
+def test_where_a_string_is_in_another(text: str, wanted: str) -> None:
+    two = Two(text, wanted, most=10_000)
+    assert two.given("index_of", *two.places) == text.find(wanted)
+
+
+def test_a_search_that_may_take_long_and_one_in_null_are_left() -> None:
+    two = Two("a" * 5000, "a" * 20 + "b", None)
+    text, wanted, null = two.places
+    assert two.given("index_of", text, wanted) is None
+    assert two.given("index_of", null, wanted) is None
+    assert two.given("index_of", text, null) is None
+
+
+@given(maybe, maybe, st.booleans())
+def test_comparisons(left: str | None, right: str | None, same: bool) -> None:
+    right = left if same else right
+    two = Two(left, right)
+    equal = unsigned(called("str_equal", 3)(two.base, *two.places))
+    assert equal == (left == right)
+    order = unsigned(called("str_order", 3)(two.base, *two.places))
+    if left is None or right is None:
+        assert order == 2
+        return
+    signed = order - (1 << 32) if order >> 31 else order
+    for name in ("sles", "sges", "slts", "sgts"):
+        compare = STRING_COMPARE[name]
+        assert compare(left, right) == compare(signed, 0)
+
+
+@given(
+    st.integers(-(1 << 63), (1 << 63) - 1) | st.integers(-1000, 1000), st.integers(0, 5), st.integers(0, 25)
+)
+@example(-(1 << 63), 9, 99)
+@example(0, 9, 99)
+def test_whole_numbers_as_text(number: int, room: int, most: int) -> None:
+    made = Two(room=room, most=most).made("i2s", number)
+    assert made == (len(str(number)) <= most and 2 + (len(str(number)) + 7) // 8 <= room)
+
+
+@pytest.mark.parametrize("truth", [0, 1])
+@pytest.mark.parametrize("most", [3, 4, 5])
+def test_truth_as_text(truth: int, most: int) -> None:
+    assert Two(most=most).made("b2s", truth) == (most >= 5 - truth)
+
+
+@given(maybe | st.from_regex(r"\s?[+-]?[0-9]{0,20}\s?", fullmatch=True))
+@example("+")
+@example("-12")
+@example("+0012")
+def test_text_as_whole_numbers(text: str | None) -> None:
+    two = Two(text)
+    number = two.parsed(two.places[0])
+    if text is not None and text.isascii() and text.isdigit() and len(text) < 19:
+        assert number == int(text)

@@ -1,0 +1,249 @@
+"""Images from peers, sound and damaged: WebAssembly and Python come to the same verdict, and say the same."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Callable
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from msgspec.structs import replace
+
+pytest.importorskip("wasmtime", reason="the engine in WebAssembly needs wasmtime: pip install lfield[wasm]")
+
+from random_heaps import LIMIT, MEMBERS, RandomHeap, heaps
+
+from lfield.bytecode.program import NULL, OBJECT, Program, TypeRecord
+from lfield.clock import ManualClock
+from lfield.errors import BlockError
+from lfield.testing.golden import Desk, compile_text, settle
+from lfield.vm.agent import Member
+from lfield.vm.contract import Limits
+from lfield.vm.machine import Machine
+from lfield.vm.memory import layout
+from lfield.vm.memory.layout import Layouts
+from lfield.vm.memory.soundness import Soundness
+from lfield.vm.memory.space import SEPARATE
+
+seeds = st.integers(0, 1 << 32)
+
+TRAVELLER = compile_text(
+    """
+    class Note {
+        public int number; public string text; public Note next; public real[] more; public Note[] all;
+        public Note(int n, Note rest) {
+            number = n; text = "é" + i2s(n); next = rest;
+            all = new Note[2]; all[1] = rest;
+        }
+    }
+    resource Post { init(string[] arg) { while (true) yield(); } portal leave(Note n) { } }
+    coordinator Boss {
+        init(string[] arg) {
+            Note n = null;
+            for (int i = 0; i < 5; i = i + 1) n = new Note(i, n);
+            Post[] all = findPost();
+            reserve (all) { work(all[1], n); }
+        }
+        private void work(Post p, Note n) { p.leave(n); }
+    }
+    coordinator Chief {
+        init(string[] arg) {
+            Post[] all = findPost();
+            together { all[1].leave(new Note(1, null)); all[1].leave(null); all[0].leave(null); }
+        }
+    }
+    """
+)
+TEAM = [
+    Member(0, "here", "Post", "resource", 0),
+    Member(1, "there", "Post", "resource", 1),
+    Member(2, "boss", "Boss", "coordinator", 0),
+    Member(3, "chief", "Chief", "coordinator", 0),
+]
+
+
+def packed() -> list[bytes]:
+    """The images of coordinators that are about to travel, one with calls of a `together`."""
+    desk, clock = Desk(), ManualClock()
+    machine = desk.machine = Machine(TRAVELLER, TEAM, 0, 1, desk, clock, random.Random(1))
+    for member in (TEAM[0], *TEAM[2:]):
+        machine.start(member, Limits(), generation=1)
+    settle(machine, clock)
+    return [bytes(machine.pack(agent)) for agent, _ in desk.departures]
+
+
+IMAGES = packed()
+IMAGE = max(IMAGES, key=len)
+
+
+def checkers(program: Program, members: tuple[str, ...]) -> list[Soundness]:
+    layouts = Layouts(program)
+    return [Soundness(program, layouts, members, space) for space in (SEPARATE, heaps())]
+
+
+CHECKERS = checkers(TRAVELLER, tuple(member.type for member in TEAM))
+
+
+def told(check: Callable[[], object]) -> str:
+    """What is wrong, or nothing."""
+    try:
+        check()
+    except BlockError as error:
+        return str(error)
+    return ""
+
+
+def damaged(image: bytes, dice: random.Random) -> bytes:
+    """A few words changed, to anything, to each other, or by a bit."""
+    data = bytearray(image)
+    w = memoryview(data).cast("q")
+    for _ in range(dice.choice([1, 1, 1, 2, 5])):
+        at, other = dice.randrange(len(w)), dice.randrange(len(w))
+        match dice.randrange(6):
+            case 0:
+                w[at] = dice.choice([0, 1, -1, -(1 << 63), (1 << 63) - 1, len(w), len(w) - 1, 1 << 32])
+            case 1:
+                w[at] = w[other]
+            case 2:
+                w[at] ^= 1 << dice.randrange(63)
+            case 3:
+                w[at] = dice.randrange(len(w))
+            case 4:
+                data[8 * at + dice.randrange(8)] = dice.choice(
+                    b"\x00\x41\x80\xbf\xc0\xc1\xc2\xe0\xed\xf0\xf4\xf5"
+                )
+            case _:
+                w[at] = w[at] + dice.choice([-1, 1]) * (1 << dice.choice([0, 8, 32])) & (1 << 62) - 1
+    w[layout.W_TOP] = len(w)
+    return bytes(data)
+
+
+@pytest.mark.parametrize("image", IMAGES)
+def test_who_travels_is_sound_and_python_is_not_asked(image: bytes, monkeypatch: pytest.MonkeyPatch) -> None:
+    blocks = [checker.check(image, LIMIT) for checker in CHECKERS]
+    assert len({bytes(block.image()) for block in blocks}) == 1
+    assert len({block.end for block in blocks}) == 1
+    assert heaps().base(blocks[1].data) >= 0
+    for name in ("_walk", "_check_references"):
+        monkeypatch.delattr(Soundness, name)
+    assert CHECKERS[1].check(image, LIMIT).top == blocks[0].top
+
+
+def test_one_of_them_has_tickets() -> None:
+    counts = []
+    for image in IMAGES:
+        block = CHECKERS[1].check(image, LIMIT)
+        walked = heaps().walked(block.data, block.heap, block.top, CHECKERS[1].shapes)
+        assert walked is not None
+        counts.append(len(walked[1]))
+    # Three calls, and what holds them.
+    assert sorted(counts) == [0, 4]
+
+
+@given(st.sampled_from(IMAGES), seeds)
+def test_a_damaged_coordinator_is_told_in_the_same_words(sound: bytes, seed: int) -> None:
+    image = damaged(sound, random.Random(seed))
+    first, second = (told(lambda c=checker: c.check(image, LIMIT)) for checker in CHECKERS)
+    assert first == second
+
+
+def test_a_slot_that_holds_only_null_leads_nowhere_else_either() -> None:
+    core, block = TRAVELLER.core, CHECKERS[0].check(IMAGE, LIMIT)
+    frame = block.w[block.w[layout.W_THREADS] + layout.THREAD_FRAME]
+    index = block.w[frame] >> 8 & 0xFFFFFF
+    method = core.methods[index]
+    note = TRAVELLER.class_index["Note"]
+    slot = next(i for i, t in enumerate(method.slots) if core.types[t] == TypeRecord(OBJECT, note))
+    slots = (*method.slots[:slot], NULL, *method.slots[slot + 1 :])
+    methods = list(core.methods)
+    methods[index] = replace(method, slots=slots)
+    program = Program(replace(core, methods=tuple(methods)), TRAVELLER.debug, TRAVELLER.digest)
+    block.w[frame + layout.FRAME_SLOTS + slot] = frame + 1
+    for checker in checkers(program, tuple(member.type for member in TEAM)):
+        with pytest.raises(BlockError, match="a reference leads to no thing of its type"):
+            checker.check(block.image(), LIMIT)
+
+
+def test_most_damages_are_found() -> None:
+    """So the property above is about something."""
+    verdicts = [
+        told(lambda i=i: CHECKERS[1].check(damaged(IMAGE, random.Random(i)), LIMIT)) for i in range(400)
+    ]
+    assert 40 < verdicts.count("") < 360
+    assert len(set(verdicts)) > 60
+
+
+#: What is said of things that do not have the shape they must have.
+OF_THINGS = (
+    "a thing on the heap",
+    "a string is no",
+    "a proxy leads",
+    "a reference leads",
+    "a together is held",
+)
+#: What is said of headers, before things are looked at.
+OF_HEADERS = ("magic", "another program", "its size", "heartbeat", "its clock")
+
+
+@given(seeds, st.booleans())
+def test_random_heaps_sound_or_not(seed: int, tickets: bool) -> None:
+    """Where all things are sound, Python is not even asked for them; tickets it looks through."""
+    heap = RandomHeap(seed, tickets=tickets)
+    dice = random.Random(seed)
+    image = bytes(heap.block.image())
+    if dice.random() < 0.8:
+        image = damaged(image, dice)
+    first, second = (
+        told(lambda c=checker: c.check(image, LIMIT)) for checker in checkers(heap.program, MEMBERS)
+    )
+    assert first == second
+    space = heaps()
+    data = space.room(len(image))
+    data[:] = image
+    w = memoryview(data).cast("q")
+    top, heap_at = len(w), layout.HEADER_WORDS
+    walked = space.walked(data, heap_at, top, heap.shapes)
+    if any(what in first for what in OF_THINGS):
+        assert walked is None
+    elif not any(what in first for what in OF_HEADERS):
+        assert walked is not None
+    if walked is None:
+        return
+    starts, tickets = walked
+    place, found = heap_at, {}
+    while place < top:
+        found[place] = w[place] & 0xFFFFFFFF
+        place += w[place] >> 32
+    assert dict(starts) == found
+    assert tickets == [place for place, half in found.items() if half & 0xFF == layout.TICKET]
+
+
+@given(st.binary(max_size=24), st.integers(-1, 30), st.integers(0, 4))
+def test_what_is_text_is_the_same(raw: bytes, length: int, words: int) -> None:
+    """UTF-8, no more bytes than needed, no surrogates; and the length must be in the string."""
+    body = raw + bytes(-len(raw) % 8 + 8 * words)
+    size = 2 + len(body) // 8
+    thing = (
+        (layout.STRING | size << 32).to_bytes(8, "little") + length.to_bytes(8, "little", signed=True) + body
+    )
+    image = bytearray(IMAGE + thing)
+    memoryview(image).cast("q")[layout.W_TOP] = len(image) // 8
+    first, second = (told(lambda c=checker: c.check(image, LIMIT)) for checker in CHECKERS)
+    assert first == second
+    text = body[: max(length, 0)]
+    try:
+        text.decode()
+        sound = 0 <= length <= len(body)
+    except UnicodeDecodeError:
+        sound = False
+    assert (first == "") == sound
+
+
+@pytest.mark.parametrize("lead", range(0x80, 0x100))
+def test_every_lead_and_second_byte_of_text(lead: int) -> None:
+    for second in range(0x100):
+        for rest in (b"", b"\x80", b"\x80\xbf", b"\x41\x80"):
+            test_what_is_text_is_the_same.hypothesis.inner_test(
+                bytes([lead, second]) + rest, 2 + len(rest), 0
+            )

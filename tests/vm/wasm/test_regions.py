@@ -1,0 +1,77 @@
+"""The memory of all blocks of a host: its regions stay while they are seen, and blocks lie in them."""
+
+from __future__ import annotations
+
+import gc
+from itertools import pairwise
+
+import pytest
+
+from lfield.testing.golden import compile_text
+from lfield.vm.memory import layout
+from lfield.vm.memory.block import Block
+from lfield.vm.memory.collector import collect, compact
+from lfield.vm.memory.layout import Layouts
+
+pytest.importorskip("wasmtime", reason="the engine in WebAssembly needs wasmtime: pip install lfield[wasm]")
+
+from lfield.vm.wasm.arena import WHOLE, Arena, size_class
+from lfield.vm.wasm.heaps import Heaps
+
+PROGRAM = compile_text("resource R { init(string[] arg) { } }")
+
+
+def test_a_region_is_given_again_only_when_nobody_sees_it() -> None:
+    arena = Arena()
+    first = arena.room(4000)
+    base = arena.base(first)
+    view = memoryview(first)[8:16]
+    del first
+    gc.collect()
+    assert arena.base(arena.room(4000)) != base
+    view[0] = 1
+    del view
+    assert arena.base(arena.room(4000)) == base
+
+
+def test_regions_do_not_overlap_and_keep_their_bytes() -> None:
+    arena = Arena()
+    rooms = [arena.room(size) for size in (8, 512, 520, 4096, 5000, 1 << 20, 70_000)]
+    for number, room in enumerate(rooms, 1):
+        room[:] = bytes([number]) * len(room)
+    assert [bytes(room) == bytes([n]) * len(room) for n, room in enumerate(rooms, 1)] == [True] * len(rooms)
+    places = sorted((arena.base(room), size_class(len(room))) for room in rooms)
+    assert all(base + size <= after for (base, size), (after, _) in pairwise(places))
+
+
+@pytest.mark.parametrize("size", [1, 8, 512, 513, 1000, 4096, 4097, 1 << 20, (1 << 20) + 8])
+def test_a_region_wastes_at_most_a_quarter(size: int) -> None:
+    assert size <= size_class(size) <= max(512, size * 5 // 4 + 8)
+    assert size_class(size) % 8 == 0
+
+
+def test_a_block_grows_shrinks_and_is_collected_in_the_arena() -> None:
+    arena = Heaps()
+    blocks = [Block.empty(PROGRAM.digest, 1 << 17, space) for space in (arena, Heaps())]
+    blocks.append(Block.empty(PROGRAM.digest, 1 << 17))
+    for block in blocks:
+        block.w[layout.W_ID] = block.new_string("who")
+        for _ in range(5):
+            block.new_string("x" * 100)
+            collect(block, Layouts(PROGRAM), 5000)
+        assert block.string(block.w[layout.W_ID]) == "who"
+    assert len({bytes(block.image()) for block in blocks}) == 1
+    assert len({block.end for block in blocks}) == 1
+    compact(blocks[0], Layouts(PROGRAM))
+    assert blocks[0].end == blocks[0].top
+    assert arena.base(blocks[0].data) >= 0
+
+
+def test_where_the_arena_is_full_blocks_lie_elsewhere(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("lfield.vm.wasm.arena.RESERVATIONS", (1 << 24,))
+    arena = Heaps()
+    rooms = [arena.room(1 << 20) for _ in range(20)]
+    assert arena.reservation == 1 << 24 < WHOLE
+    inside = [arena.base(room) >= 0 for room in rooms]
+    assert inside == sorted(inside, reverse=True)
+    assert 10 < sum(inside) < 20

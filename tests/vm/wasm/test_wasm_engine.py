@@ -1,0 +1,227 @@
+"""What is the engine's own: where it hands over, what it does at limits, and what becomes of a bug in it."""
+
+from __future__ import annotations
+
+import random
+from math import factorial
+from pathlib import Path
+
+import msgspec
+import pytest
+
+from lfield.bytecode.opcodes import BY_NAME
+from lfield.bytecode.program import Debug, Program, Quad, encode_quads
+from lfield.clock import ManualClock
+from lfield.testing.engines import NEEDED, Switching, switching
+from lfield.testing.golden import Desk, compile_text, settle, team_for
+from lfield.vm.agent import Member
+from lfield.vm.contract import SPENT, Done, Engines, Limits
+from lfield.vm.machine import Machine
+from lfield.vm.memory.block import Block
+from lfield.vm.memory.layout import OBJECT
+from lfield.vm.memory.threads import new_thread, place_of
+from lfield.vm.reference import Engine as Reference
+
+wasmtime = pytest.importorskip("wasmtime", reason=NEEDED)
+
+from lfield.vm.wasm.engine import Engine  # noqa: E402
+
+EXAMPLES = Path(__file__).parents[3] / "examples"
+
+COUNTING = compile_text(
+    """
+    resource Counter {
+      init(string[] arg) {
+        int sum = 0;
+        for (int i = 0; i < 1000; i = i + 1) { if (i % 3 == 0) sum = sum + deep(i % 7); else sum = sum - 1; }
+        print(sum);
+      }
+      private int deep(int n) { if (n == 0) return 1; return n * deep(n - 1); }
+    }
+    """
+)
+
+
+def machine_of(program: Program, engines: Engines, team: list[Member] | None = None) -> tuple[Desk, Machine]:
+    """A machine with all agents of a program started."""
+    desk, clock = Desk(), ManualClock()
+    members = team or team_for(program, [])
+    machine = desk.machine = Machine(program, members, 0, 1, desk, clock, random.Random(1), engines=engines)
+    for member in members:
+        machine.start(member, Limits(), 1)
+    settle(machine, clock)
+    return desk, machine
+
+
+def thread_of(
+    program: Program, engine: Engine | Reference, method: int, words: int = 4096
+) -> tuple[Block, int]:
+    """A block with one thread that begins a method on a new object, and the thread's place."""
+    block = Block.empty(program.digest, words, engine.space)
+    record = program.core.methods[method]
+    own = block.allocate(OBJECT, record.owner, engine.layouts.class_words[record.owner])
+    identity = new_thread(block, method, engine.layouts.frame_words[method], record.entry + 1, [own, 0], 0)
+    return block, place_of(block, identity)
+
+
+@pytest.mark.parametrize("budget", [1, 2, 3, 5, 8, 13, 100, 1000])
+def test_a_budget_ends_at_the_very_same_instruction(budget: int) -> None:
+    images = []
+    method = next(i for i, m in enumerate(COUNTING.core.methods) if m.name == "init")
+    for engine in (Reference(COUNTING, float), Engine(COUNTING, float)):
+        block, thread = thread_of(COUNTING, engine, method)
+        seen = []
+        for _ in range(20):
+            leave = engine.run(block, thread, budget, Limits())
+            seen.append((leave, engine.unused, bytes(block.image())))
+            if leave != SPENT:
+                break
+        images.append(seen)
+    assert images[0] == images[1]
+
+
+def test_most_of_the_work_is_done_in_webassembly(monkeypatch: pytest.MonkeyPatch) -> None:
+    given: list[int] = []
+    of_reference = Reference.run
+
+    def counted(self: Reference, *args: object, **options: object) -> object:
+        leave = of_reference(self, *args, **options)  # type: ignore[arg-type]  # as it was called
+        given.append(args[2] - self.unused)  # type: ignore[operator]  # the budget
+        return leave
+
+    monkeypatch.setattr(Reference, "run", counted)
+    desk, _ = machine_of(COUNTING, Engine)
+    expected = sum(factorial(i % 7) if i % 3 == 0 else -1 for i in range(1000))
+    assert desk.output == [str(expected)]
+    assert sum(given) < 100
+
+
+def test_a_block_elsewhere_is_run_by_the_reference_engine() -> None:
+    engine = Engine(COUNTING, float)
+    method = next(i for i, m in enumerate(COUNTING.core.methods) if m.name == "init")
+    inside, thread = thread_of(COUNTING, engine, method)
+    outside = Block(bytearray(inside.data), inside.top, inside.limit)
+    for block in (inside, outside):
+        assert engine.run(block, thread, 700, Limits()) == SPENT
+    assert bytes(inside.image()) == bytes(outside.image())
+
+
+DEEP = """
+resource R {
+  init(string[] arg) {
+    print(down(%d));
+    try { print(down(%d)); } catch (LimitException e) { print(e.message()); }
+  }
+  private int down(int n) { if (n == 0) return 0; return 1 + down(n - 1); }
+}
+"""
+
+
+def test_calls_go_deeper_than_the_stack_of_webassembly() -> None:
+    program = compile_text(DEEP % (40_000, 60_000))
+    desk, clock = Desk(), ManualClock()
+    member = team_for(program, [])[0]
+    machine = desk.machine = Machine(program, [member], 0, 1, desk, clock, random.Random(1), engines=Engine)
+    machine.start(member, Limits(heap=16 << 20, call_depth=50_000), 1)
+    for _ in range(50):
+        machine.run()
+    assert desk.output == ["40000", "calls are nested deeper than 50000"]
+
+
+def test_a_trap_of_webassembly_is_a_bug_that_ends_the_agent_only(monkeypatch: pytest.MonkeyPatch) -> None:
+    program = compile_text(
+        """
+        resource Bad { init(string[] arg) { int i = 1; while (i > 0) i = i + 1; } }
+        resource Good { init(string[] arg) { sleep(1.0); print("still here"); } }
+        """
+    )
+    desk, clock = Desk(), ManualClock()
+    members = team_for(program, [])
+    machine = desk.machine = Machine(program, members, 0, 1, desk, clock, random.Random(1), engines=Engine)
+    for member in members:
+        machine.start(member, Limits(), 1)
+    assert isinstance(machine.engine, Engine)
+    enter = machine.engine._enter
+    calls = iter([True])
+
+    def broken() -> int:
+        if next(calls, False):
+            raise wasmtime.Trap("out of bounds memory access")
+        return enter()
+
+    monkeypatch.setattr(machine.engine, "_enter", broken)
+    settle(machine, clock)
+    assert desk.output == ["still here"]
+    assert [agent.id for agent in desk.endings if agent.ended == "died"] == ["bad"]
+    assert desk.endings[0].report.startswith("bug in lfield: Trap: out of bounds memory access")
+
+
+def test_control_that_enters_a_loop_twice_is_left_to_the_reference_engine() -> None:
+    """No compiler of ours makes such a program, and the verifier lets it pass."""
+    core = COUNTING.core
+    method = next(m for m in core.methods if m.name == "init")
+    quads = list(COUNTING.quads)
+    jump, move, branch = (BY_NAME[name].code for name in ("jmp", "move", "bz"))
+    start = method.entry + 1
+    integer = next(i for i, t in enumerate(method.slots) if core.types[t].kind == 2)
+    truth = next(i for i, t in enumerate(method.slots) if core.types[t].kind == 1)
+    constant = next(-1 - i for i, c in enumerate(core.constants) if type(c) is int)
+    code = [
+        Quad(branch, start + 3, truth, 0),
+        Quad(move, integer, constant, 0),  # one way into the loop
+        Quad(jump, start + 4, 0, 0),
+        Quad(move, integer, constant, 0),  # the other
+        Quad(branch, start + 3, truth, 0),
+        Quad(BY_NAME["rtn"].code, 0, 0, 0),
+    ]
+    assert len(code) <= method.end - start
+    quads[start : start + len(code)] = code
+    changed = msgspec.structs.replace(core, code=encode_quads(quads))
+    program = Program(changed, Debug((), ()), b"\1" * 32)
+    engine = Engine(program, float)
+    index = core.methods.index(method)
+    assert start not in engine.points
+    images = []
+    for one in (Reference(program, float), engine):
+        block, thread = thread_of(program, one, index)
+        images.append((one.run(block, thread, 50, Limits()), one.unused, bytes(block.image())))
+    assert images[0] == images[1]
+
+
+@pytest.mark.parametrize("name", ["10-client-server", "11-multiple-tiers", "12-peer-to-peer"])
+@pytest.mark.parametrize("seed", [1, 2])
+def test_the_programs_of_the_thesis_change_engines_anywhere(name: str, seed: int) -> None:
+    program = compile_text((EXAMPLES / name / "mission.L").read_text())
+    told = [
+        line[2:] for line in (EXAMPLES / name / "mission.dL").read_text().splitlines() if line[:2] == "//"
+    ]
+    team = []
+    for line in told:
+        kind, _, rest = line.partition(":")
+        identity, _, more = rest.partition("@")
+        team.append((kind, identity, more.partition("?")[2]))
+    members = team_for(program, team)
+    outputs = []
+    engines: list[Switching] = []
+    for make in (Reference, switching(Engine, seed)):
+        desk, machine = machine_of(program, make, members)
+        outputs.append(desk.output)
+        if isinstance(machine.engine, Switching):
+            engines.append(machine.engine)
+    assert outputs[0] == outputs[1]
+    assert outputs[0]
+    assert min(engines[0].given) > 10
+
+
+def test_a_result_of_a_thread_is_its_word() -> None:
+    program = compile_text(
+        "resource R { init(string[] arg) { } private real half(int n) { return n / 2.0; } }"
+    )
+    method = next(i for i, m in enumerate(program.core.methods) if m.name == "half")
+    words = []
+    for engine in (Reference(program, float), Engine(program, float)):
+        block, thread = thread_of(program, engine, method)
+        leave = engine.run(block, thread, 100, Limits())
+        assert isinstance(leave, Done)
+        words.append((leave.word, bytes(block.image())))
+    assert words[0] == words[1]
