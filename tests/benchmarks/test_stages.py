@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import pytest
 from hops.stages import ORDER, TAPS, travel
 from hops.taps import ENDS, Stages, Tap, tapping
 
 from lfield import loop
+from lfield.vm.wasm.choice import has_wasm
 
 
-def test_every_stage_of_a_hop_is_measured(tmp_path):
+@pytest.mark.parametrize("engine", ["reference", "wasm"] if has_wasm() else ["reference"])
+def test_every_stage_of_a_hop_is_measured(tmp_path, engine):
     methods = [getattr(tap.owner, tap.name) for tap in TAPS]
-    (hop, *_) = hops = loop.run(travel(tmp_path, 64, 20))
+    (hop, *_) = hops = loop.run(travel(tmp_path, 64, 20, engine))
     assert len(hops) == 20
     assert set(ORDER) <= hop.keys()
     assert all(seconds >= 0.0 for seconds in hop.values())

@@ -50,6 +50,7 @@ SMALL = {
     "lfield/text/findings.py": "the table class of all findings",
     "lfield/text/values.py": "values of devices in words",
     "lfield/vm/maths/library.py": "which instruction is which function, a table",
+    "lfield/vm/wasm/choice.py": "what may be chosen, without wasmtime",
     "lfield/vm/wasm/calls.py": "how Python calls WebAssembly",
     "lfield/vm/wasm/runtime/functions.py": "the runtime's text and its functions",
     "lfield/vm/memory/parcels.py": "what waits to be fetched, as bytes",

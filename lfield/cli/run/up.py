@@ -81,6 +81,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="listen beyond this machine without keys: whoever reaches the port controls the robots",
     )
+    _add_hidden(parser)
+
+
+def _add_hidden(parser: argparse.ArgumentParser) -> None:
     # For processes that `--all` starts: the listening socket they inherit, the address where commands find
     # them, to end with their parent, and the command that sets up their devices.
     parser.add_argument("--listen-fd", type=int, help=argparse.SUPPRESS)

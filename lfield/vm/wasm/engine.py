@@ -30,6 +30,9 @@ class Engine:
     """Runs threads of blocks of one program; blocks outside its arena only by the reference engine."""
 
     pace = 20
+    #: So many instructions of a run are the reference engine's, as to enter WebAssembly takes longer: between
+    #: two portal calls, and in a portal that hands something on, there are mostly no more.
+    first = 12
 
     def __init__(self, program: Program, now: Callable[[], float], cache: Cache | None = None) -> None:
         self.program = program
@@ -77,8 +80,14 @@ class Engine:
         readings: Sequence[Reading | None] = (),
     ) -> Exit:
         """As `lfield.vm.reference.Engine.run`."""
+        reference, first = self._reference, min(self.first, budget)
+        leave = reference.run(block, thread, first, limits, readings)
+        self._left, self._asked = budget - first + reference.unused, reference.asked
+        return leave if leave is not SPENT else self._go_on(block, thread, limits, readings)
+
+    def _go_on(self, block: Block, thread: int, limits: Limits, readings: Sequence[Reading | None]) -> Exit:
+        """Do what is left of the budget, in WebAssembly as far as it can be."""
         reference, points, w = self._reference, self.points, block.w
-        self._left, self._asked = budget, False
         base = self.space.base(block.data)
         while self._left > 0:
             point = points.get(w[thread + THREAD_PC], 0) if base >= 0 else 0
@@ -125,3 +134,9 @@ class Engine:
     def throw(self, block: Block, thread: int, thrown: int) -> bool:
         """Throw the object at `thrown` where the thread stands; false when nobody catches it."""
         return self._reference.throw(block, thread, thrown)
+
+
+class Eager(Engine):
+    """Enters WebAssembly at once: for whoever tries it."""
+
+    first = 0

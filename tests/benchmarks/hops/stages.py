@@ -10,6 +10,7 @@ from __future__ import annotations
 import asyncio
 import io
 from collections.abc import Iterator, Mapping
+from itertools import product
 from pathlib import Path
 
 from harness.checkout import Checkout
@@ -34,6 +35,7 @@ from lfield.vm.machine import Machine
 from lfield.vm.memory.liveness import Liveness
 from lfield.vm.memory.soundness import Soundness
 from lfield.vm.outside import Outsiders
+from lfield.vm.wasm.choice import has_wasm
 
 #: Bytes of live state, on top of the coordinator itself.
 SIZES = (64, 8 << 10)
@@ -83,12 +85,13 @@ coordinator Traveller {
 
 
 def measured(checkout: Checkout, rounds: int, tick: Tick) -> Iterator[Row]:
-    """The stages of hops of each size."""
-    for size in SIZES:
-        tick(f"{size} B")
+    """The stages of hops of each size, by each engine."""
+    for size, engine in product(SIZES, ("reference", "wasm") if has_wasm() else ("reference",)):
+        case = f"{size} B, {engine} engine"
+        tick(case)
         with Processes() as processes:
-            hops = loop.run(travel(processes.folder(), size, rounds * HOPS))
-        yield from rows(f"{size} B", hops)
+            hops = loop.run(travel(processes.folder(), size, rounds * HOPS, engine))
+        yield from rows(case, hops)
 
 
 def rows(case: str, hops: list[Mapping[str, float]]) -> Iterator[Row]:
@@ -101,7 +104,7 @@ def rows(case: str, hops: list[Mapping[str, float]]) -> Iterator[Row]:
         yield Row("", stage or REST, samples=samples, ratio=share)
 
 
-async def travel(folder: Path, size: int, count: int) -> list[Mapping[str, float]]:
+async def travel(folder: Path, size: int, count: int, engine: str) -> list[Mapping[str, float]]:
     """So many hops of a coordinator with so many bytes of live state, after a warm-up."""
     (folder / "mission.L").write_text(_PROGRAM, encoding="utf-8")
     deploy = folder / "mission.dL"
@@ -109,7 +112,7 @@ async def travel(folder: Path, size: int, count: int) -> list[Mapping[str, float
     mission = load_mission(deploy, maps=[f"{host}=127.0.0.1:{free_port()}" for host in "ab"])
     stages = Stages()
     with tapping(stages, TAPS):
-        hosts = [_host(mission, host) for host in "ab"]
+        hosts = [_host(mission, host, engine) for host in "ab"]
         try:
             await asyncio.gather(*(host.start() for host in hosts))
             while len(stages.hops) < WARM_UP + count:
@@ -121,10 +124,10 @@ async def travel(folder: Path, size: int, count: int) -> list[Mapping[str, float
     return [*stages.hops[WARM_UP : WARM_UP + count]]
 
 
-def _host(mission: Mission, name: str) -> Host:
-    address = mission.team.addresses[mission.team.number(name)]
+def _host(mission: Mission, name: str, engine: str) -> Host:
+    options = Options(mission.team.addresses[mission.team.number(name)], engine=engine)
     transport = TcpTransport(mission.max_block)
-    return Host(mission, name, transport, Logbook(io.StringIO(), io.StringIO()), Options(address))
+    return Host(mission, name, transport, Logbook(io.StringIO(), io.StringIO()), options)
 
 
 def _look(hosts: list[Host]) -> None:

@@ -1,0 +1,141 @@
+"""The machine code that a host keeps of its program: found again, made again when it is damaged, never others'."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+from lfield.errors import UsageError
+from lfield.host import engines as engines_module
+from lfield.host.engines import KEPT, UserCache, code_folder, engines_for
+from lfield.testing.engines import NEEDED
+from lfield.testing.golden import compile_text
+from lfield.vm.reference import Engine as Reference
+
+PROGRAM = compile_text("resource R { init(string[] arg) { print(arg.length() + 1); } }")
+
+
+@pytest.fixture
+def cached(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """An empty cache folder, and no code in this process."""
+    pytest.importorskip("wasmtime", reason=NEEDED)
+    from lfield.vm.wasm import code
+
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    code._recent.clear()
+    return code_folder()
+
+
+def made(notes: list[str]) -> dict[int, int]:
+    """The points of the program on a new engine, as a process that has just begun finds them."""
+    from lfield.vm.wasm import code
+    from lfield.vm.wasm.engine import Engine
+
+    code._recent.clear()
+    engine = engines_for("wasm", notes.append)(PROGRAM, float)
+    assert isinstance(engine, Engine)
+    return engine.points
+
+
+def no_compiler(monkeypatch: pytest.MonkeyPatch) -> None:
+    """From now on code must be found."""
+
+    def refuse(*_: object) -> None:
+        raise AssertionError("it was compiled again")
+
+    monkeypatch.setattr("lfield.vm.wasm.code.module", refuse)
+
+
+def test_code_is_found_again(cached: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    notes: list[str] = []
+    first = made(notes)
+    assert all(path.stat().st_mode & 0o077 == 0 for path in [cached, *cached.iterdir()])
+    no_compiler(monkeypatch)
+    assert made(notes) == first
+    assert notes == []
+
+
+@pytest.mark.parametrize("damage", ["cut", "changed", "empty", "other"])
+def test_damaged_code_is_made_again_with_one_line(cached: Path, damage: str) -> None:
+    notes: list[str] = []
+    first = made(notes)
+    for path in cached.iterdir():
+        data = bytearray(path.read_bytes())
+        match damage:
+            case "cut":
+                del data[len(data) // 2 :]
+            case "changed":
+                data[-100] ^= 1
+            case "empty":
+                data.clear()
+            case _:
+                data[:] = os.urandom(len(data))
+        path.write_bytes(data)
+    files = len(list(cached.iterdir()))
+    assert made(notes) == first
+    assert len(notes) == files
+    assert all(note.startswith("the program is compiled again: ") for note in notes)
+    assert made(notes) == first
+    assert len(notes) == files
+
+
+def test_what_others_could_have_written_is_not_read(cached: Path) -> None:
+    notes: list[str] = []
+    first = made(notes)
+    for path in cached.iterdir():
+        path.chmod(0o666)
+    assert made(notes) == first
+    assert notes
+    assert all("others may write to it" in note for note in notes)
+
+
+def test_without_a_folder_everything_is_compiled(
+    cached: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "file").write_text("")
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "file"))
+    assert made([])
+
+
+def test_the_name_tells_programs_reservations_and_versions_apart(
+    cached: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from lfield.vm.wasm import code
+
+    names = {code.name_of(digest, reservation) for digest in (b"a", b"b") for reservation in (1, 2)}
+    monkeypatch.setattr(code, "version", lambda _: "0.1")
+    names.add(code.name_of(b"a", 1))
+    monkeypatch.setattr(code, "_makers", lambda: b"another lfield")
+    names.add(code.name_of(b"a", 1))
+    assert len(names) == 6
+
+
+def test_the_oldest_code_is_forgotten(tmp_path: Path) -> None:
+    cache = UserCache(tmp_path, print)
+    for number in range(KEPT + 3):
+        cache.put(f"{number:03}", b"x")
+        os.utime(tmp_path / f"{number:03}", (number, number))
+    cache.put("last", b"x")
+    assert len(list(tmp_path.iterdir())) == KEPT
+    assert cache.get("last") == b"x"
+    assert cache.get("000") is None
+
+
+def test_where_there_is_no_wasmtime_the_reference_engine_serves(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(engines_module, "has_wasm", lambda: False)
+    assert engines_for("auto", print) is Reference
+    assert engines_for("reference", print) is Reference
+    with pytest.raises(UsageError, match="pip install"):
+        engines_for("wasm", print)
+
+
+def test_where_wasmtime_cannot_be_used_the_log_says_why(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(engines_module, "has_wasm", lambda: True)
+    monkeypatch.setitem(__import__("sys").modules, "lfield.vm.wasm.engine", None)
+    notes: list[str] = []
+    assert isinstance(engines_for("auto", notes.append)(PROGRAM, float), Reference)
+    assert notes[0].startswith("the reference engine runs the program: ")
+    with pytest.raises(UsageError, match="cannot be used"):
+        engines_for("wasm", notes.append)(PROGRAM, float)
