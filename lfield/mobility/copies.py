@@ -164,15 +164,13 @@ class Copies:
 
     def keep(self, copy: Copy) -> list[Effect]:
         """Have what is known of it on disk before anything that comes after."""
-        return self._persist(copy, soon=False)
+        return self._persist(copy, soon=False) if self.kept or self.parked else []
 
     def keep_soon(self, copy: Copy) -> list[Effect]:
         """The same, but nothing waits for it: if it is lost, it is asked for again."""
-        return self._persist(copy, soon=True)
+        return self._persist(copy, soon=True) if self.kept or self.parked else []
 
     def _persist(self, copy: Copy, *, soon: bool) -> list[Effect]:
-        if not (self.kept or self.parked):
-            return []
         start = copy.agent, copy.generation
         parked = self.parked.pop(start, None) if copy.state == "EXITED" else None
         if parked is not None and parked.sequence >= copy.sequence:

@@ -116,10 +116,10 @@ class Machine:
         self._exits: dict[type[Exit], Callable[[Agent, int, Any], None]] = {
             Outside: self._outsiders.carry_out,
             Done: self._done,
-            Spent: self._spent,
+            Spent: lambda agent, thread, _: self._turns.last(agent, thread),
             Blocked: self._blocked,
-            NoRoom: self._no_room,
-            Thrown: self._thrown,
+            NoRoom: lambda agent, thread, leave: scheduler.make_room(agent, thread, leave.words),
+            Thrown: lambda agent, thread, leave: scheduler.uncaught(agent, thread, leave.place),
         }
 
     # --- agents come and go ---------------------------------------------------------------------------
@@ -369,21 +369,12 @@ class Machine:
             scheduler.stir(agent)
         return used
 
-    def _spent(self, agent: Agent, thread: int, leave: Exit) -> None:
-        self._turns.last(agent, thread)
-
-    def _no_room(self, agent: Agent, thread: int, leave: NoRoom) -> None:
-        self._scheduler.make_room(agent, thread, leave.words)
-
     def _blocked(self, agent: Agent, thread: int, leave: Exit) -> None:
         self._scheduler.set_state(agent, thread, BLOCKED)
         agent.blocked.append(thread)
         if agent.cancels.get(thread):
             agent.blocked.remove(thread)
             self._cancelling.strike(agent, thread)
-
-    def _thrown(self, agent: Agent, thread: int, leave: Thrown) -> None:
-        self._scheduler.uncaught(agent, thread, leave.place)
 
     def _done(self, agent: Agent, thread: int, leave: Done) -> None:
         scheduler = self._scheduler

@@ -212,15 +212,14 @@ class Coordinators:
         self.carry_out(effects)
         return bool(effects)
 
-    def depart(self, agent: Agent, resource: Member, absent: Absent) -> None:
-        """A frozen coordinator wants to the host of a resource. It waits for nobody who is lost.
-
-        But for what it has begun there it waits as long as ever: that may be there yet.
+    def depart(self, agent: Agent, resource: Member, absent: Absent | None) -> None:
+        """A frozen coordinator wants to the host of a resource: linked, unless it may be `absent`. It waits
+        for nobody who is lost, but for what it has begun there as long as ever: that may be there yet.
         """
         if self.trouble and self._stays(agent):
             return
         target, since = self._mission.team.hosts[resource.host], self._clock.monotonic()
-        if not absent.is_linked(target) and not self._fetches(agent):
+        if absent is not None and not self._fetches(agent):
             if why := absent.lost(target):
                 self._resume(agent, UNREACHABLE, why)
                 return
@@ -274,8 +273,7 @@ class Coordinators:
 
         def seal(sequence: int) -> Buffer:
             agent.block.w[layout.W_SEQUENCE] = sequence
-            if self._packed is not image:
-                # It has waited since it was packed, perhaps for long, and its time limits go on.
+            if self._packed is not image:  # It has waited since then, and its time limits go on.
                 self._machine.note_clock(agent)
             return image
 
@@ -339,9 +337,7 @@ class Coordinators:
 
     def carry_out(self, effects: Iterable[mobile.Effect]) -> None:
         """Do what need not wait, and keep the rest."""
-        if self._own.memory:
-            effects = self.keeping.put(effects, self._clock.monotonic())
-        for effect in effects:
+        for effect in self.keeping.put(effects, self._clock.monotonic()) if self._own.memory else effects:
             self._effect(effect)
 
     def _effect(self, effect: mobile.Effect) -> None:
