@@ -7,7 +7,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: demo test test-more test-sitl simulate chaos bench lint locks clean
+.PHONY: demo test test-more test-sitl simulate chaos fuzz bench lint locks clean
 
 demo: $(VENV)/.installed
 	$(BIN)/lfield up --deploy examples/01-first-flight/mission.dL --all --sim --until-done
@@ -57,6 +57,12 @@ lint: $(VENV)/.tested
 	$(BIN)/ruff format --check .
 	$(BIN)/lint-imports
 	$(BIN)/mypy
+
+# make fuzz COUNT=1000 SEED=1      random programs on the engine in WebAssembly and the reference engine, compared
+COUNT ?= 1000
+SEED ?= 1
+fuzz: $(VENV)/.tested
+	$(BIN)/python -m lfield.testing.fuzz --count $(COUNT) --seed $(SEED)
 
 # make bench ONLY=hop,local   those figures        make bench SAVE=rows.json   also writes the rows
 # make bench AGAINST=PATH     compared, round by round, with another checkout that has its own .venv

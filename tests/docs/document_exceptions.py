@@ -35,6 +35,7 @@ EXCEPTIONS: dict[str, dict[str, str]] = {
         ".venv/bin/pytest tests/vm/test_hop.py": SUITE,
         '.venv/bin/pytest -k "hostile" tests/vm': SUITE,
         "make bench ONLY=hop": SUITE,
+        "make fuzz COUNT=1000": SUITE,
         "make simulate SEEDS=10000": SUITE,
         "make chaos SECONDS=120": SUITE,
     },

@@ -112,11 +112,13 @@ class Expressions:
         calls: dict[str, tuple[str, ...]],
     ) -> None:
         self.dice, self._variables, self._calls = dice, variables, calls
+        self._depth = dice.choice((1, 2, 2, 3))
         #: Variables of loops, which may be read only.
         self.counters: list[str] = []
 
-    def draw(self, kind: str, depth: int = 3) -> Piece:
-        """An expression of at most so many levels."""
+    def draw(self, kind: str, depth: int = -1) -> Piece:
+        """An expression of at most so many levels; a usual number, if nothing is said."""
+        depth = self._depth if depth < 0 else depth
         chance = self.dice.random()
         if depth <= 0 or chance < 0.35:
             return self._leaf(kind)

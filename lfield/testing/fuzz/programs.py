@@ -15,7 +15,14 @@ from lfield.testing.fuzz.tree import PLAIN, Piece, written
 
 #: The variables of every method: type, name, and what it is at first.
 _LOCALS = (
-    *(("int", "i0", "3"), ("int", "i1", "n"), ("int", "i2", "0"), ("real", "r0", "x"), ("real", "r1", "1.5")),
+    *(
+        ("int", "i0", "3"),
+        ("int", "i1", "n"),
+        ("int", "i2", "0"),
+        ("int", "i3", "9223372036854775800"),
+        ("real", "r0", "x"),
+        ("real", "r1", "1.5"),
+    ),
     *(
         ("boolean", "b0", "true"),
         ("boolean", "b1", "n > 2"),
@@ -64,17 +71,22 @@ def _declared(body: list[Piece]) -> list[Piece]:
     return found
 
 
+#: What coordinators ask, by how many portals there are.
+_ASKED = ["i0 = st.ask(#, #);|int Node", "st.tell(#, #, #);|real string int[]"]
+#: What methods give.
+_KINDS = ("int", "int", "real", "boolean", "string", "Node", "int[]")
+
+
 class _Maker:
     def __init__(self, dice: random.Random) -> None:
         self.dice = dice
-        self.size, self.depth = dice.choice(((1, 1), (1, 2), (2, 1), (2, 2), (3, 2), (3, 3)))
+        self.size, self.depth = dice.choice(((1, 1), (1, 1), (1, 2), (2, 1), (2, 2), (3, 2)))
+        self.portals = dice.choice((1, 2))
         #: By unit, its methods by the type they give: what an expression may call.
         self.methods = {unit: self._names(unit) for unit in ("Node", "Store", "Walker")}
 
     def _names(self, unit: str) -> dict[str, tuple[str, ...]]:
-        kinds = self.dice.choices(
-            ("int", "int", "real", "boolean", "string", "Node", "int[]"), k=self.dice.choice((1, 1, 2))
-        )
+        kinds = self.dice.choices(_KINDS, k=self.dice.choice((1, 1, 2) if unit == "Node" else (0, 1)))
         numbers = count()
         found: dict[str, tuple[str, ...]] = {}
         for kind in kinds:
@@ -85,7 +97,7 @@ class _Maker:
         node = [self._method("Node", kind, name) for kind, name in self._all("Node")]
         store = [self._method("Store", kind, name) for kind, name in self._all("Store")]
         walker = [self._method("Walker", kind, name) for kind, name in self._all("Walker")]
-        portals = [self._portal(number) for number in range(2)]
+        portals = [self._portal(number) for number in range(self.portals)]
         return written(
             "",
             "// deploy: Store:store\n// deploy: Walker:one?1\n// deploy: Walker:two?2\n#\n#\n#\n",
@@ -111,10 +123,11 @@ class _Maker:
         """A method's own: the variables that it uses, statements, and an end."""
         waits = ["yield();|", "print(#);|int", "sleep(0.25);|", "r1 = random();|", "i2 = random(5);|"]
         if unit == "Walker":
-            waits += ["i0 = st.ask(#, #);|int Node", "st.tell(#, #, #);|real string int[]"] * 6
+            waits += _ASKED[: self.portals] * 6
         calls = self._calls(unit)
         expressions = Expressions(self.dice, _VARIABLES, calls)
-        statements = Statements(self.dice, expressions, _VARIABLES, result, tuple(waits))
+        limits = unit == "Walker"
+        statements = Statements(self.dice, expressions, _VARIABLES, result, tuple(waits), limits)
         body = statements.block(self.depth, self.size + guarded)
         if unit == "Walker":
             body += [statements.wait() for _ in range(2)]

@@ -9,7 +9,7 @@ from lfield.testing.fuzz.tree import Piece, written
 
 #: What can be caught, and is thrown now and then.
 _CLASSES = ("Exception", "ArithmeticException", "IndexException", "NullException", "LimitException")
-_CAUGHT = (*_CLASSES, "ConversionException", "MissingReturnException")
+_CAUGHT = (*_CLASSES, "ConversionException", "MissingReturnException", "TimeLimitException", "Node")
 
 #: By type, what can be written to. `#` with the types of its parts behind the last `|`.
 _TARGETS: dict[str, tuple[str, ...]] = {
@@ -26,7 +26,7 @@ class Statements:
     """Draws the body of a method.
 
     `own` are the variables by type, `result` the type that the method gives, "" for none; `waits` are
-    statements that only the machine can carry out.
+    statements that only the machine can carry out; `limits` says that time may be limited.
     """
 
     def __init__(
@@ -36,9 +36,10 @@ class Statements:
         own: dict[str, tuple[str, ...]],
         result: str,
         waits: tuple[str, ...],
+        limits: bool,
     ) -> None:
         self.dice, self.expressions, self._own = dice, expressions, own
-        self._result, self._waits = result, waits
+        self._result, self._waits, self._limits = result, waits, limits
         self._loops, self._leavable, self._in_finally, self._names = 0, 0, False, 0
 
     def block(self, depth: int, most: int = 4) -> list[Piece]:
@@ -50,6 +51,7 @@ class Statements:
         draw = self.expressions.draw
         flat = ("assign",) * 8 + ("element",) * 3 + ("call", "throw", "leave", "wait", "print")
         deep = ("if", "if", "loop", "loop", "try", "try", "finally") if depth > 0 else ()
+        deep += ("within",) if depth > 0 and self._limits else ()
         match self.dice.choice(flat + deep * 2):
             case "assign":
                 kind = self.dice.choice(list(self._own))
@@ -59,12 +61,9 @@ class Statements:
             case "call":
                 return written("", "o0 = o1.link(#, o0);", draw("int"))
             case "throw":
-                return written(
-                    "",
-                    f"if (#) throw new {self.dice.choice(_CLASSES)}(#);",
-                    draw("boolean"),
-                    draw("string", 1),
-                )
+                return self._throw()
+            case "within":
+                return self._within(depth)
             case "leave":
                 return self._leave()
             case "wait":
@@ -82,6 +81,19 @@ class Statements:
     def wait(self) -> Piece:
         """A statement that leaves the engine."""
         return self.expressions.form("", self.dice.choice(self._waits), 1)
+
+    def _throw(self) -> Piece:
+        condition = self.expressions.draw("boolean")
+        if self.dice.random() < 0.3:
+            return written("", "if (#) throw o0;", condition)
+        name = self.dice.choice(_CLASSES)
+        return written("", f"if (#) throw new {name}(#);", condition, self.expressions.draw("string", 1))
+
+    def _within(self, depth: int) -> Piece:
+        """What is given up after some time, which passes in sleeps only."""
+        seconds = self.dice.choice(("0.1", "0.6", "x"))
+        body = [*self.block(depth - 1, 2), self.wait()]
+        return written("", f"within ({seconds}) {{ # }}", body)
 
     def _element(self) -> Piece:
         kind = self.dice.choice(list(_TARGETS))
@@ -129,8 +141,15 @@ class Statements:
         name, caught = f"e{self._names}", self.dice.choice(_CAUGHT)
         body = self.block(depth - 1)
         handler = self.block(depth - 1, 2)
-        told = self.dice.choice((f"s0 = {name}.message();", f"s1 = {name}.type();", f"throw {name};", ""))
-        handler.append(Piece("", [f"if (b0) {{ {told} }}"]))
+        told = [f"throw {name};", ""]
+        told += (
+            [f"i0 = {name}.n;"] if caught == "Node" else [f"s0 = {name}.message();", f"s1 = {name}.type();"]
+        )
+        handler.append(Piece("", [f"if (b0) {{ {self.dice.choice(told)} }}"]))
+        if self.dice.random() < 0.3:
+            other = f"catch (Exception {name}) {{ # }}"
+            form = f"try {{ # }} catch ({caught} {name}) {{ # }} {other}"
+            return written("", form, body, handler, self.block(depth - 1, 1))
         if not with_finally:
             return written("", f"try {{ # }} catch ({caught} {name}) {{ # }}", body, handler)
         return written(

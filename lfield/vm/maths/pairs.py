@@ -2,8 +2,8 @@
 
 This is the bottom of the maths of L (decision 58). It uses the four operations, square roots and bits only,
 which every computer does alike, so what is made of them has the same bits everywhere. All of this room is
-written in the subset of Python that `lfield/vm/wasm/maths.py` lowers to WebAssembly: reals, ints within 64
-bits, `if`, `while`, `for` over a constant table, and functions that give one value or several.
+written in the subset of Python that `lfield/vm/wasm/lower/maths.py` lowers to WebAssembly: reals, ints within
+64 bits, `if`, `while`, `for` over a constant table, and functions that give one value or several.
 
 The ways to add and multiply without losing anything are those of Knuth, Dekker and Veltkamp.
 """

@@ -19,13 +19,27 @@ _PUSH, _POP, _JMP = BY_NAME["push"].code, BY_NAME["pop"].code, BY_NAME["jmp"].co
 
 
 @dataclass(frozen=True, slots=True)
+class Ask:
+    """A group whose head leaves the engine: its own operand, its arguments, and which must not be null."""
+
+    op: int
+    operand: int
+    arguments: tuple[Argument, ...]
+    checked: tuple[int, ...]
+
+
+@dataclass(frozen=True, slots=True)
 class Prepared:
-    """A program as the engine runs it: a step per instruction, and its groups by first instruction."""
+    """A program as the engine runs it: a step per instruction, and its groups by first instruction.
+
+    `asks` are those groups that leave it, whatever the world has told already.
+    """
 
     program: Program
     layouts: Layouts
     steps: list[Step]
     groups: dict[int, Group]
+    asks: dict[int, Ask]
     destinations: dict[int, int]
     class_names: list[str]
 
@@ -54,6 +68,7 @@ class _Preparer:
         self.quads = program.quads
         self.steps: list[Step] = [_unreachable] * len(self.quads)
         self.groups: dict[int, Group] = {}
+        self.asks: dict[int, Ask] = {}
         self.destinations: dict[int, int] = {}
         self.bits = [_bits(c) for c in self.core.constants]
 
@@ -63,7 +78,9 @@ class _Preparer:
             while pc < method.end:
                 pc = self.instruction(pc, method)
         names = [c.name for c in self.core.classes]
-        return Prepared(self.program, self.layouts, self.steps, self.groups, self.destinations, names)
+        return Prepared(
+            self.program, self.layouts, self.steps, self.groups, self.asks, self.destinations, names
+        )
 
     def instruction(self, pc: int, method: MethodRecord) -> int:
         """Prepare what stands at `pc`, a whole group or one instruction; returns what stands after it."""
@@ -178,7 +195,15 @@ class _Preparer:
         self.groups[first] = Group(head, destination, after, kind, parks)
         arguments = [self.source(operand) for operand in operands]
         self.steps[first] = self.head(head, arguments, operands, pc + 1, after, destination)
+        row = BY_CODE[head.op]
+        if row.exits and not self.is_reading(row, head, arguments):
+            checked = tuple(self.checked(row, head.a))
+            self.asks[first] = Ask(head.op, head.a, tuple(arguments), checked)
         return after
+
+    def is_reading(self, row: Opcode, head: Quad, arguments: list[Argument]) -> bool:
+        """Whether a head is a query whose answer the host may have told already."""
+        return row.name == "device" and not arguments and self.device_result(head.a) in PLAIN
 
     def head(
         self, head: Quad, arguments: list[Argument], operands: list[int], back: int, after: int, into: int
@@ -191,7 +216,7 @@ class _Preparer:
             return calls.call(arguments, head.a, words, entry, back, callee.name)
         if row.exits:
             ask = calls.outside(arguments, head.op, head.a, self.checked(row, head.a))
-            if row.name == "device" and not arguments and self.device_result(head.a) in PLAIN:
+            if self.is_reading(row, head, arguments):
                 return calls.reading(ask, head.a, into, after)
             return ask
         reals = [kind == "real" for kind in row.takes or ()]

@@ -6,24 +6,27 @@ one that the reference engine knows, and at each *point* WebAssembly can take ov
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+import struct
+from collections.abc import Callable, Container, Mapping, Sequence
 
 import wasmtime
 
 from lfield.bytecode.program import Program
-from lfield.vm.contract import SPENT, STOPPED, Done, Exit, Group, Limits, Reading
+from lfield.vm.contract import SPENT, STOPPED, Done, Exit, Group, Limits, Outside, Reading
 from lfield.vm.memory.block import Block
-from lfield.vm.memory.layout import THREAD_FRAME, THREAD_ID, THREAD_PC, Layouts
+from lfield.vm.memory.layout import FRAME_SLOTS, THREAD_FRAME, THREAD_ID, THREAD_PC, Layouts
 from lfield.vm.reference import Engine as Reference
+from lfield.vm.reference.prepare import Ask
 from lfield.vm.wasm.calls import quick, unsigned
 from lfield.vm.wasm.code import Cache, code_of
 from lfield.vm.wasm.heaps import Heaps
-from lfield.vm.wasm.lower.driver import REGISTERS
-from lfield.vm.wasm.lower.method import DONE, SHORT
+from lfield.vm.wasm.lower.driver import GIVEN, KEPT, REGISTERS, TOLD
+from lfield.vm.wasm.lower.method import DONE, SHORT, STEP
 from lfield.vm.wasm.lower.module import low_bytes
 from lfield.vm.wasm.lower.table import RUNTIME
 
-_BASE, _TOP, _END, _FRAME, _POINT, _LEFT, _DEPTH, _THREAD, _LONGEST, _TEXT, _PC, _WORD = range(len(REGISTERS))
+_give = struct.Struct(f"<{len(GIVEN) + len(KEPT)}q").pack_into
+_told = struct.Struct(f"<{len(KEPT) + len(TOLD)}q").unpack_from
 
 
 class Engine:
@@ -46,7 +49,8 @@ class Engine:
         instance = wasmtime.Instance(
             store, code.compiled, [self.space.memory, *(runtime[name] for name in RUNTIME)]
         )
-        self._registers = self.space.view(0, 8 * len(REGISTERS)).cast("q")
+        self._asks = self._reference.prepared.asks
+        self._registers = self.space.view(0, 8 * len(REGISTERS))
         self._enter = quick(store, instance, "run", 0)
         self._left = 0
         self._asked = False
@@ -80,52 +84,88 @@ class Engine:
         readings: Sequence[Reading | None] = (),
     ) -> Exit:
         """As `lfield.vm.reference.Engine.run`."""
-        reference, first = self._reference, min(self.first, budget)
-        leave = reference.run(block, thread, first, limits, readings)
-        self._left, self._asked = budget - first + reference.unused, reference.asked
+        first = min(self.first, budget)
+        self._left, self._asked = first, False
+        leave: Exit = SPENT
+        if first:
+            leave = self._refer(block, thread, limits, readings, None)
+        self._left += budget - first
         return leave if leave is not SPENT else self._go_on(block, thread, limits, readings)
 
     def _go_on(self, block: Block, thread: int, limits: Limits, readings: Sequence[Reading | None]) -> Exit:
         """Do what is left of the budget, in WebAssembly as far as it can be."""
-        reference, points, w = self._reference, self.points, block.w
         base = self.space.base(block.data)
+        if base < 0:
+            return self._refer(block, thread, limits, readings, None)
+        points, w = self.points, block.w
         while self._left > 0:
-            point = points.get(w[thread + THREAD_PC], 0) if base >= 0 else 0
-            short = False
-            if point:
-                status = self._resume(block, thread, base, point, limits)
+            status = STEP
+            if point := points.get(w[thread + THREAD_PC], 0):
+                status, word = self._resume(block, thread, base, point, limits)
                 if status == DONE:
-                    return Done(self._registers[_WORD])
+                    return Done(word)
                 if not self._left:
                     return SPENT
-                short = status == SHORT
-            stops = points if base >= 0 and not short else None
-            leave = reference.run(block, thread, self._left, limits, readings, stops)
-            self._left = reference.unused
-            self._asked = self._asked or reference.asked
+            ask = self._asks.get(w[thread + THREAD_PC])
+            if ask is not None and (leave := self._ask(block, thread, ask)) is not None:
+                return leave
+            stops = None if status == SHORT else points
+            leave = self._refer(block, thread, limits, readings, stops)
             if leave is not STOPPED:
                 return leave
         return SPENT
 
-    def _resume(self, block: Block, thread: int, base: int, point: int, limits: Limits) -> int:
-        """Let WebAssembly run from a point on; the block says afterwards where it stands."""
-        registers, w = self._registers, block.w
-        registers[_BASE] = base
-        registers[_TOP] = base + 8 * block.top
-        registers[_END] = base + 8 * block.end
-        registers[_FRAME] = base + 8 * w[thread + THREAD_FRAME]
-        registers[_POINT] = point
-        registers[_LEFT] = self._left
-        registers[_DEPTH] = limits.call_depth
-        registers[_THREAD] = w[thread + THREAD_ID]
-        registers[_LONGEST] = limits.array_length
-        registers[_TEXT] = limits.string_length
+    def _refer(
+        self,
+        block: Block,
+        thread: int,
+        limits: Limits,
+        readings: Sequence[Reading | None],
+        stops: Container[int] | None,
+    ) -> Exit:
+        """Let the reference engine go on."""
+        reference = self._reference
+        leave = reference.run(block, thread, self._left, limits, readings, stops)
+        self._left = reference.unused
+        self._asked = self._asked or reference.asked
+        return leave
+
+    def _ask(self, block: Block, thread: int, ask: Ask) -> Exit | None:
+        """The exit of a head that leaves; None where the reference engine throws for a null."""
+        w = block.w
+        slots = w[thread + THREAD_FRAME] + FRAME_SLOTS
+        words = [constant if slot is None else w[slots + slot] for slot, constant in ask.arguments]
+        for number in ask.checked:
+            if not words[number]:
+                return None
+        self._left -= 1
+        return Outside(ask.op, ask.operand, words)
+
+    def _resume(self, block: Block, thread: int, base: int, point: int, limits: Limits) -> tuple[int, int]:
+        """Let WebAssembly run from a point on; the block says afterwards where it stands.
+
+        Returns how it left, and the word of the result where the thread's first method has returned.
+        """
+        w = block.w
+        _give(
+            self._registers,
+            0,
+            base,
+            base + 8 * block.end,
+            point,
+            limits.call_depth,
+            limits.array_length,
+            limits.string_length,
+            w[thread + THREAD_ID],
+            base + 8 * block.top,
+            base + 8 * w[thread + THREAD_FRAME],
+            self._left,
+        )
         status = unsigned(self._enter())
-        block.top = registers[_TOP] - base >> 3
-        w[thread + THREAD_FRAME] = registers[_FRAME] - base >> 3
-        w[thread + THREAD_PC] = registers[_PC]
-        self._left = registers[_LEFT]
-        return status
+        top, frame, self._left, w[thread + THREAD_PC], word = _told(self._registers, 8 * len(GIVEN))
+        block.top = top - base >> 3
+        w[thread + THREAD_FRAME] = frame - base >> 3
+        return status, word
 
     def complete(self, block: Block, thread: int, word: int) -> None:
         """Give the group the thread stands at its result; the thread goes on behind it."""

@@ -15,31 +15,22 @@ from lfield.vm.memory.layout import (
     W_ENTRIES,
     W_OWNER,
 )
-from lfield.vm.wasm.lower.method import RETURNED, STEP, THROWN
+from lfield.vm.wasm.lower.method import RETURNED, STEP, THROWN, TRAPPED
 from lfield.vm.wasm.lower.tables import ANYTHING, METHOD, RETURN, ROW, Tables
 
-#: Words at the beginning of the memory. Addresses: of the block, its top, its end, the thread's frame. The
-#: point to resume at; the budget that is left; the depth of calls, the thread, the lengths of arrays and of
-#: texts that are allowed. The instruction where a run has ended, and the word it has given.
-REGISTERS = (
-    "base",
-    "top",
-    "end",
-    "frame",
-    "point",
-    "left",
-    "depth",
-    "thread",
-    "longest",
-    "text",
-    "pc",
-    "word",
-)
+#: Words at the beginning of the memory. The address of the block and of its end; the point to resume at; the
+#: depth of calls, the lengths of arrays and of texts that are allowed; the thread.
+GIVEN = ("base", "end", "point", "depth", "longest", "text", "thread")
+#: Given and told again: the address of the heap's top and of the frame, and the budget that is left.
+KEPT = ("top", "frame", "left")
+#: The instruction where a run has ended, and the word it has given.
+TOLD = ("pc", "word")
+REGISTERS = (*GIVEN, *KEPT, *TOLD)
 AT = {name: 8 * i for i, name in enumerate(REGISTERS)}
 #: The globals of a module, by type.
 GLOBALS = {
-    "i32": ("base", "top", "end", "frame", "point", "pc"),
-    "i64": ("left", "deepest", "thread", "longest", "text", "word"),
+    "i32": ("base", "top", "end", "frame", "point", "pc", "trap"),
+    "i64": ("left", "deepest", "thread", "longest", "text", "word", "length"),
 }
 
 
@@ -62,7 +53,7 @@ def driver(deepest: int, tables: Tables, *, catches: bool) -> str:
     return f"""
 (func (export "run") (result i32)
   (local $frame i32) (local $point i32) (local $status i32) (local $word i64) (local $back i32)
-  (local $depth i64)
+  (local $depth i64) (local $top i32)
   {" ".join(small)}
   {" ".join(large)}
   (local.set $frame (i32.load (i32.const {AT["frame"]})))
@@ -88,12 +79,16 @@ def driver(deepest: int, tables: Tables, *, catches: bool) -> str:
       (br_if $on (local.get $point))
       (global.set $frame (local.get $frame))
       (local.set $status (i32.const {STEP}))))
-    (if (i32.eq (local.get $status) (i32.const {THROWN})) (then
-      (if {caught} (then
-        (local.set $frame (global.get $frame))
-        (local.set $point (global.get $point))
-        (br $on)))
+    (if (i32.ge_u (local.get $status) (i32.const {THROWN})) (then
+      (local.set $top (global.get $top))
+      (if (if (result i32) (i32.eq (local.get $status) (i32.const {TRAPPED}))
+            (then (call $thrown)) (else (i32.const 1))) (then
+        (if {caught} (then
+          (local.set $frame (global.get $frame))
+          (local.set $point (global.get $point))
+          (br $on)))))
       ;; The reference engine throws it, and is paid for that.
+      (global.set $top (local.get $top))
       (global.set $left (i64.add (global.get $left) (i64.const 1)))
       (local.set $status (i32.const {STEP}))))
   end

@@ -158,7 +158,7 @@ class _Function:
 
     def refuse(self, node: ast.AST) -> TypeError:
         return TypeError(
-            f"'{ast.unparse(node)}' in {self.node.name} has no WebAssembly: see lfield/vm/wasm/maths.py"
+            f"'{ast.unparse(node)}' in {self.node.name} has no WebAssembly: see lfield/vm/wasm/lower/maths.py"
         )
 
     # --- statements -----------------------------------------------------------------------------------

@@ -8,12 +8,11 @@ of them can be resumed behind its call. The words of a frame before its slots ar
 
 from __future__ import annotations
 
-import re
 import struct
 from collections.abc import Container
 from typing import Any
 
-from lfield.bytecode.program import PROXY, REAL, VOID
+from lfield.bytecode.program import REAL, VOID
 from lfield.vm.memory.layout import (
     ARRAY,
     FRAME,
@@ -21,57 +20,31 @@ from lfield.vm.memory.layout import (
     FRAME_DEPTH,
     FRAME_RETURN,
     FRAME_SLOTS,
-    OBJECT,
-    STRING,
     W_ENTRIES,
     W_OWNER,
     header,
 )
 from lfield.vm.reference.prepare import Prepared
 from lfield.vm.wasm.lower.graph import Branch, Call, Graph, Instruction, Jump, Leave, Return, Run, Throw
+from lfield.vm.wasm.lower.operands import address_of, filled, image_of, real_constant, reference_to, row_name
 from lfield.vm.wasm.lower.routes import Routes, Switch, Test
 from lfield.vm.wasm.lower.shape import Go, Item, Shape
 from lfield.vm.wasm.lower.table import ROWS
+from lfield.vm.wasm.lower.traps import INDEX, Traps
 
 #: What a function says besides its result: it has returned; it stands where the reference engine must go on;
-#: its budget does not suffice for what comes next; the thread's first method has returned; it has thrown.
-RETURNED, STEP, SHORT, DONE, THROWN = range(5)
-#: Longer things are made by the reference engine; shorter ones are made word by word up to here, in words.
-_LONGEST, _UNROLLED = 1 << 14, 12
-_BRACES = re.compile(r"\{(\w+)\}")
-
-
-def row_name(prepared: Prepared, slots: tuple[int, ...], i: Instruction) -> str:
-    """The row of the table that an instruction is lowered by; '' when it leaves."""
-    name = i.row.name
-    if name in ("eqr", "sner") and prepared.program.core.types[slots[i.quad.b]].kind == PROXY:
-        return f"{name} of proxies"
-    if name == "lds" and len(image_of(prepared, i)) > _LONGEST:
-        return ""
-    return name if name in ROWS else ""
-
-
-def image_of(prepared: Prepared, i: Instruction) -> list[int]:
-    """The words of what `lds` or `new` makes."""
-    if i.row.name == "new":
-        words = prepared.layouts.class_words[i.quad.b]
-        return [header(OBJECT, i.quad.b, words), *[0] * (words - 1)]
-    text = prepared.program.core.constants[i.quad.b]
-    assert isinstance(text, str)
-    raw = text.encode("utf-8", "replace")
-    words = 2 + (len(raw) + 7 >> 3)
-    return [
-        header(STRING, 0, words),
-        len(raw),
-        *struct.unpack(f"<{words - 2}q", raw.ljust(8 * (words - 2), b"\0")),
-    ]
+#: its budget does not suffice for what comes next; the thread's first method has returned; it has thrown
+#: an object, or what the machine itself throws.
+RETURNED, STEP, SHORT, DONE, THROWN, TRAPPED = range(6)
+#: Longer things are copied from the module; shorter ones are made word by word up to here.
+_UNROLLED = 12
 
 
 class Method:
     """The text of one method's function, and the numbers of its points."""
 
-    def __init__(self, prepared: Prepared, index: int) -> None:
-        self.index = index
+    def __init__(self, prepared: Prepared, index: int, traps: Traps) -> None:
+        self.index, self._traps = index, traps
         #: Which methods have functions that can be called; those that are too tangled have none.
         self.others: Container[int] = ()
         self._prepared = prepared
@@ -244,7 +217,7 @@ class Method:
         value = self._core.constants[-1 - operand]
         if kind == "f64":
             assert isinstance(value, (int, float))
-            return f"(f64.const {_real(float(value))})"
+            return f"(f64.const {real_constant(float(value))})"
         return f"(i64.const {int(value) if isinstance(value, int) else 0})"
 
     def _lowered(self, i: Instruction, refund: int) -> list[str]:
@@ -254,16 +227,51 @@ class Method:
         for line in ROWS[row_name(self._prepared, self._method.slots, i)].strip().splitlines():
             word, _, rest = line.strip().partition(" ")
             if word == "leave":
-                lines += self._leave(_filled(rest, given), i.pc, refund)
+                lines += self._leave(filled(rest, given), i.pc, refund)
             elif word == "null":
-                lines += self._null(given["slots"][rest], i.pc, refund)
+                lines += self._null(given["slots"][rest], i, refund)
+            elif word == "zero":
+                trap = self._traps.number("ArithmeticException", "division by zero")
+                lines += self._trap(filled(rest, given), trap, i.pc, refund)
+            elif word == "over":
+                trap = self._traps.number("ArithmeticException", "the result does not fit an int")
+                lines += self._trap(filled(rest, given), trap, i.pc, refund)
+            elif word == "index":
+                lines += self._index(filled(rest, given), i.pc, refund)
             else:
-                lines.append(_filled(line.strip(), given))
+                lines.append(filled(line.strip(), given))
         return lines
 
-    def _null(self, operand: int, pc: int, refund: int) -> list[str]:
+    def _null(self, operand: int, i: Instruction, refund: int) -> list[str]:
         # The object that the method runs on is never null.
-        return self._leave(f"(i64.eqz {self._value(operand, 'i64')})", pc, refund) if operand else []
+        if not operand:
+            return []
+        trap = self._traps.number("NullException", f"{self._use(i)} of null")
+        return self._trap(f"(i64.eqz {self._value(operand, 'i64')})", trap, i.pc, refund)
+
+    def _use(self, i: Instruction) -> str:
+        """What an instruction needs an object for, as its exception says it."""
+        match i.row.name:
+            case "getf" | "putf":
+                slot, field = (i.quad.b, i.quad.c) if i.row.name == "getf" else (i.quad.a, i.quad.b)
+                record = self._core.types[self._method.slots[slot]]
+                return f"field '{self._core.classes[record.of].fields[field].name}'"
+            case "call":
+                return f"call of '{self._core.methods[i.quad.a].name}'"
+            case "array_len":
+                return "length"
+        return "element"
+
+    def _index(self, index: str, pc: int, refund: int) -> list[str]:
+        """Throws where an index is outside of the array at $p."""
+        length = "(i64.sub (i64.load32_u offset=4 (local.get $p)) (i64.const 1))"
+        told = f"(global.set $word {index}) (global.set $length {length})"
+        return self._trap(f"(i64.ge_u {index} {length})", INDEX, pc, refund, told)
+
+    def _trap(self, condition: str, number: int, pc: int, refund: int, told: str = "") -> list[str]:
+        """Throws, where a condition holds, what the machine itself throws; the instruction is paid for."""
+        trap = f"{told} (global.set $trap (i32.const {number}))"
+        return [condition, "if", trap, *self._gone(pc, refund - 1, TRAPPED), "end"]
 
     def _operands(self, i: Instruction) -> dict[str, Any]:
         """What the braces of a row stand for."""
@@ -285,7 +293,7 @@ class Method:
                 elif operand.role == "F":
                     given["field"] = 8 * (1 + value)
         for letter in [k for k in given if k in slots and isinstance(given[k], str)]:
-            given[f"{letter}_at"] = _address(given[letter])
+            given[f"{letter}_at"] = address_of(given[letter])
         if i.row.name in ("putf", "pute"):
             given["t"] = "f64" if self._is_real(i) else "i64"
         return {**given, **self._made(i)}
@@ -303,7 +311,7 @@ class Method:
 
     def _made(self, i: Instruction) -> dict[str, str]:
         """Of instructions that make things: their size, and how they are written at $p."""
-        made = {"made": _reference("$p"), "head": str(ARRAY | i.quad.b << 8)}
+        made = {"made": reference_to("$p"), "head": str(ARRAY | i.quad.b << 8)}
         if i.row.name not in ("lds", "new"):
             return made
         words = image_of(self._prepared, i)
@@ -334,7 +342,7 @@ class Method:
         if i.into >= 0:
             result = "$u" if self.slots[i.into] == "f64" else "$x"
         return [
-            *self._null(i.arguments[0], i.pc, 1),
+            *self._null(i.arguments[0], i, 1),
             f"(local.set $x (i64.add (i64.load offset={8 * FRAME_DEPTH} (local.get $frame)) (i64.const 1)))",
             *self._leave("(i64.gt_s (local.get $x) (global.get $deepest))", i.pc, 1),
             "(local.set $p (global.get $top))",
@@ -343,7 +351,7 @@ class Method:
             ),
             f"(global.set $top (i32.add (local.get $p) (i32.const {size})))",
             f"(i64.store (local.get $p) (i64.const {head}))",
-            f"(i64.store offset={8 * FRAME_CALLER} (local.get $p) {_reference('$frame')})",
+            f"(i64.store offset={8 * FRAME_CALLER} (local.get $p) {reference_to('$frame')})",
             f"(i64.store offset={8 * FRAME_RETURN} (local.get $p) (i64.const {back}))",
             f"(i64.store offset={8 * FRAME_DEPTH} (local.get $p) (local.get $x))",
             "(global.set $left (local.get $left))",
@@ -354,21 +362,3 @@ class Method:
             "(local.set $left (global.get $left))",
             f"(local.set $s{i.into} (local.get {result}))" if result else "",
         ]
-
-
-def _filled(line: str, given: dict[str, Any]) -> str:
-    return _BRACES.sub(lambda found: str(given[found[1]]), line)
-
-
-def _reference(address: str) -> str:
-    """The reference that leads to an address in a local."""
-    return f"(i64.extend_i32_u (i32.shr_u (i32.sub (local.get {address}) (local.get $base)) (i32.const 3)))"
-
-
-def _address(reference: str) -> str:
-    return f"(i32.add (local.get $base) (i32.shl (i32.wrap_i64 {reference}) (i32.const 3)))"
-
-
-def _real(value: float) -> str:
-    """A real constant; there is one NaN (decision 58)."""
-    return "nan" if value != value else value.hex()

@@ -12,6 +12,7 @@ from lfield.vm.wasm.lower.method import Method
 from lfield.vm.wasm.lower.routes import Irreducible
 from lfield.vm.wasm.lower.table import MATHS, RUNTIME
 from lfield.vm.wasm.lower.tables import Tables
+from lfield.vm.wasm.lower.traps import Traps
 
 #: The size of WebAssembly's own stack, in bytes.
 STACK = 1 << 20
@@ -29,16 +30,16 @@ class Module:
 
 def module(prepared: Prepared) -> Module:
     """The module of a program."""
-    methods = {
-        m.index: m for m in (_method(prepared, i) for i in range(len(prepared.program.core.methods))) if m
-    }
+    traps = Traps(prepared)
+    count = len(prepared.program.core.methods)
+    methods = {i: m for i in range(count) if (m := _method(prepared, i, traps))}
     for method in methods.values():
         method.others = methods.keys()
     functions = [m.text() for m in methods.values()]
     points = {pc: number for m in methods.values() for pc, number in m.points.items()}
     tables = Tables(prepared.program, TABLES)
     segments = {name: data for m in methods.values() for name, data in m.segments.items()}
-    count = len(prepared.program.core.methods)
+    segments |= traps.segments()
     lines = [
         "(module",
         '(import "arena" "memory" (memory 1))',
@@ -56,6 +57,7 @@ def module(prepared: Prepared) -> Module:
         "(func $none (type $entry) unreachable)",
         *(_entry(m, prepared) for m in methods.values()),
         *functions,
+        traps.text(),
         maths_text(name for name in MATHS if any(f" {maths_name(name)} " in text for text in functions)),
         driver(_deepest(prepared), tables, catches=not prepared.program.has_limits),
         ")",
@@ -68,9 +70,9 @@ def low_bytes(program: Program) -> int:
     return Tables(program, TABLES).end
 
 
-def _method(prepared: Prepared, index: int) -> Method | None:
+def _method(prepared: Prepared, index: int, traps: Traps) -> Method | None:
     try:
-        return Method(prepared, index)
+        return Method(prepared, index, traps)
     except Irreducible:
         return None
 

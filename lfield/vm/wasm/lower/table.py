@@ -2,10 +2,13 @@
 
 A line is plain WebAssembly with operands in braces. `{a}` is the local of the destination, `{b}`, `{c}` are
 the values of the other operands, `{0}`, `{1}` those pushed; `{b_at}` is the address of what a reference leads
-to. `{t}` is the type of the slot that a value comes from or goes to. Two more lines are understood:
+to. `{t}` is the type of the slot that a value comes from or goes to. More lines are understood:
 
     leave CONDITION    where it holds, the reference engine does the instruction: it knows what is thrown
-    null b             the same, where a reference is null
+    null b             throws where a reference is null
+    zero CONDITION     throws where it is divided by zero
+    over CONDITION     throws where the result does not fit an int
+    index {c}          throws where an index is outside of the array at $p
 
 So a row has only what is common; whatever is rare has one description, that of the reference engine. The
 locals `x`, `y` (i64), `u` (f64) and `p` (i32) are free for every row. What is in no row leaves.
@@ -93,14 +96,14 @@ ROWS: dict[str, str] = {
     "gete": """
         null b
         (local.set $p {b_at})
-        leave (i64.ge_u {c} (i64.sub (i64.load32_u offset=4 (local.get $p)) (i64.const 1)))
+        index {c}
         (local.set {a} ({t}.load offset=8
             (i32.add (local.get $p) (i32.shl (i32.wrap_i64 {c}) (i32.const 3)))))
     """,
     "pute": """
         null a
         (local.set $p {a_at})
-        leave (i64.ge_u {b} (i64.sub (i64.load32_u offset=4 (local.get $p)) (i64.const 1)))
+        index {b}
         ({t}.store offset=8 (i32.add (local.get $p) (i32.shl (i32.wrap_i64 {b}) (i32.const 3))) {c})
     """,
     # memory
@@ -141,32 +144,32 @@ ROWS: dict[str, str] = {
     # arithmetic: a sum is wrong when its sign differs from those of both parts
     "addi": """
         (local.set $x (i64.add {b} {c}))
-        leave (i64.lt_s (i64.and (i64.xor (local.get $x) {b}) (i64.xor (local.get $x) {c})) (i64.const 0))
+        over (i64.lt_s (i64.and (i64.xor (local.get $x) {b}) (i64.xor (local.get $x) {c})) (i64.const 0))
         (local.set {a} (local.get $x))
     """,
     "subi": """
         (local.set $x (i64.sub {b} {c}))
-        leave (i64.lt_s (i64.and (i64.xor {b} {c}) (i64.xor (local.get $x) {b})) (i64.const 0))
+        over (i64.lt_s (i64.and (i64.xor {b} {c}) (i64.xor (local.get $x) {b})) (i64.const 0))
         (local.set {a} (local.get $x))
     """,
     "muli": """
         (i64.mul_wide_s {b} {c})
         local.set $y
         local.set $x
-        leave (i64.ne (local.get $y) (i64.shr_s (local.get $x) (i64.const 63)))
+        over (i64.ne (local.get $y) (i64.shr_s (local.get $x) (i64.const 63)))
         (local.set {a} (local.get $x))
     """,
     "divi": f"""
-        leave (i64.eqz {{c}})
-        leave (i32.and (i64.eq {{b}} (i64.const {_MINIMUM})) (i64.eq {{c}} (i64.const -1)))
+        zero (i64.eqz {{c}})
+        over (i32.and (i64.eq {{b}} (i64.const {_MINIMUM})) (i64.eq {{c}} (i64.const -1)))
         (local.set {{a}} (i64.div_s {{b}} {{c}}))
     """,
     "mod": """
-        leave (i64.eqz {c})
+        zero (i64.eqz {c})
         (local.set {a} (i64.rem_s {b} {c}))
     """,
     "negi": f"""
-        leave (i64.eq {{b}} (i64.const {_MINIMUM}))
+        over (i64.eq {{b}} (i64.const {_MINIMUM}))
         (local.set {{a}} (i64.sub (i64.const 0) {{b}}))
     """,
     # whatever gives what is not a number gives the same one, by the settings of the compiler
@@ -174,7 +177,7 @@ ROWS: dict[str, str] = {
     "subf": "(local.set {a} (f64.sub {b} {c}))",
     "mulf": "(local.set {a} (f64.mul {b} {c}))",
     "divf": """
-        leave (f64.eq {c} (f64.const 0))
+        zero (f64.eq {c} (f64.const 0))
         (local.set {a} (f64.div {b} {c}))
     """,
     "negf": """
@@ -233,7 +236,7 @@ ROWS: dict[str, str] = {
         (local.set {a} (i64.trunc_f64_s {0}))
     """,
     "abs_int": f"""
-        leave (i64.eq {{0}} (i64.const {_MINIMUM}))
+        over (i64.eq {{0}} (i64.const {_MINIMUM}))
         (local.set {{a}} (select {{0}} (i64.sub (i64.const 0) {{0}}) (i64.ge_s {{0}} (i64.const 0))))
     """,
     "min_int": "(local.set {a} (select {0} {1} (i64.le_s {0} {1})))",
