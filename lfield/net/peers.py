@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import asyncio
 import random
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 from contextlib import suppress
 from typing import Protocol
 
@@ -91,8 +91,6 @@ class Peers:
         self._owner, self._transport, self._clock = owner, transport, clock
         #: The clock's monotonic time.
         self.now = clock.monotonic
-        #: Where coordinators go, and the headers of those that are too large.
-        self.on_arrival, self.on_oversize = owner.arrived, owner.too_large
         self._hosts, self._addresses, self._here, self._near = hosts, addresses, here, near
         self._numbers = {host: number for number, host in enumerate(hosts)}
         #: Whom this host wants to talk to: always, and until when.
@@ -379,6 +377,16 @@ class Peers:
             hello = session.hello
             assert hello is not None
             self._owner.received(hello.host if hello.role == "host" else "", message, session.link)
+
+    @property
+    def on_arrival(self) -> Callable[[str, Transfer, memoryview], None]:
+        """Where coordinators go."""
+        return self._owner.arrived
+
+    @property
+    def on_oversize(self) -> Callable[[str, Transfer, int], None]:
+        """Where the headers of coordinators go that are too large."""
+        return self._owner.too_large
 
     def complain(self, text: str) -> None:
         """A line for the log, once: a caller that is refused calls again every second."""

@@ -70,7 +70,7 @@ IN_A_TURN = [
     (Machine, "_done"), (Machine, "_turn"), (Machine, "pack"),
     (Engine, "run"), (Engine, "complete"), (Engine, "throw"),
     (Scheduler, "complete"), (Scheduler, "with_room"), (Scheduler, "open"),
-    (Scheduler, "throw"), (Scheduler, "standing"), (Scheduler, "spawn"), (Scheduler, "flush"),
+    (Scheduler, "throw"), (Scheduler, "standing"), (portals, "new_thread"), (Scheduler, "flush"),
     (Scheduler, "forget"), (Scheduler, "give_back"), (Scheduler, "uncaught"), (Scheduler, "freeze"),
     (Outsiders, "carry_out"), (Outsiders, "_yield"), (Outsiders, "_sleep"), (Outsiders, "_now"),
     (Outsiders, "_random"), (Outsiders, "_random_int"), (Outsiders, "_find"), (Outsiders, "_find_all"),
