@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import random
 from collections.abc import Iterable, Mapping
+from typing import Protocol
 
 from lfield.clock import Clock
 from lfield.errors import DeviceError
@@ -41,6 +42,14 @@ from lfield.wire.messages import Control, Heard, Hello, Report, Room
 from lfield.wire.observing import Recover, Recovered
 from lfield.wire.quorum import QuorumMessage
 from lfield.wire.reservations import ReservationMessage
+
+
+class Timed(Protocol):
+    """A part of a host that has something to do at a time."""
+
+    @property
+    def due(self) -> float | None:
+        """When, in seconds of the host's clock; None for never."""
 
 
 class HostCore:
@@ -89,19 +98,24 @@ class HostCore:
         self.mobility = team.mobility
         self.directory = TeamDirectory(mission, name, incarnation, machine, nearby, clock)
         self._leases = leases = Leases(mission, own, team, machine, clock, self._out, pages, dice)
-        team.barred = leases.barred
+        team.barred = leases.quorum.fences.bars
         self._begun = BegunPages(own.mission, team, leases, machine, clock, pages, keeps=bool(memory))
         self.hearsay = Hearsay(self.team.hosts, self.here, incarnation, clock.monotonic(), neighbours)
         self.reserving = Reserving(
             mission, own, team, leases, machine, clock, self._out, self.hearsay.is_linked, pages
         )
         self.directory.reserved = self.reserving.by
-        self._inits = Inits(machine.agents, self._say)
+        self._reserves = mission.program.has_reserves
+        self._inits = Inits(machine.opening, self._say)
         self._policies = Policies(mission.devices_of(name))
         self._commands = Commands(machine, nearby, leases, self._policies, clock, self._out)
         offers = Offers(self.directory, mission)
         absent = Absent(nearby, self.hearsay, clock, unreachable_after)
         self.world.join(team, leases, self._begun, self.reserving, self._commands, offers, absent)
+        #: What may have something to do at a time.
+        self._timed: list[Timed] = [team, self.directory, self.hearsay, self._policies, self._inits]
+        self._timed += [leases] if leases.fenced else []
+        self._timed += [self.reserving] if self._reserves else []
         self._own = [member.id for member in self.team.on(self.here) if member.kind == "coordinator"]
         others = [host for host in self.team.hosts if host != name]
         self._beginning = Beginning(self._own, others, team, leases, self._say, kept=bool(memory))
@@ -110,7 +124,9 @@ class HostCore:
 
     def take(self) -> list[Effect]:
         """What is to be done, in this order; each effect is given once."""
-        effects, self._effects = [*self._effects, *self.coordinators.batch()], []
+        effects, self._effects = self._effects, []
+        if self._memory:
+            effects += self.coordinators.batch()
         return effects
 
     def _out(self, effect: Effect) -> None:
@@ -155,29 +171,25 @@ class HostCore:
             self._effects += self.directory.tick(now)
         if self.hearsay.due is not None and now >= self.hearsay.due:
             self._effects += [mobile.Send(host, news) for host, news in self.hearsay.tell(now)]
-        if self._leases.tick(now):
+        if self._leases.fenced and self._leases.tick(now):
             self._beginning.look()
         if self._policies.due is not None and now >= self._policies.due:
             self._effects += self._policies.look(self.name, self.mobility.knowledge(), self.hearsay, now)
         self._begun.look()
-        self.reserving.look()
+        if self._reserves:
+            self.reserving.look()
         pause = None if self.coordinators.halted or self.coordinators.paused else self.machine.run()
         self.coordinators.answer()
         self._inits.look(now)
         # A portal that has ended may be what somebody waits for who wants to reserve its resource.
-        if self.reserving.look():
+        if self._reserves and self.reserving.look():
             pause = 0.0
-        dues = (
-            self.coordinators.due,
-            self.directory.due,
-            self.hearsay.due,
-            self._leases.due,
-            self._policies.due,
-            self._inits.due,
-            self.reserving.due,
-        )
-        left = [max(0.0, due - now) for due in dues if due is not None]
-        return min([*left, *([] if pause is None else [pause])], default=None)
+        if pause == 0.0:
+            return pause
+        for part in self._timed:
+            if (due := part.due) is not None and (pause is None or due - now < pause):
+                pause = max(0.0, due - now)
+        return pause
 
     # --- life -----------------------------------------------------------------------------------------
 

@@ -15,7 +15,10 @@ PATIENCE = 1.0
 
 
 class Inits:
-    """Who waits for the init of whom, on one host. `say` is given a line of the log, once for each wait."""
+    """Who waits for the init of whom, on one host, as far as `agents` have not come to their first pauses.
+
+    `say` is given a line of the log, once for each wait.
+    """
 
     def __init__(self, agents: Mapping[str, Agent], say: Callable[[str], None]) -> None:
         self._agents, self._say = agents, say
@@ -26,6 +29,8 @@ class Inits:
     @property
     def due(self) -> float | None:
         """When to look again at the latest; None while there is nothing to tell."""
+        if not self._since:
+            return None
         untold = [since for wait, since in self._since.items() if wait not in self._told]
         return min(untold) + PATIENCE if untold else None
 
@@ -36,6 +41,8 @@ class Inits:
 
     def look(self, now: float) -> None:
         """Note who waits; tell those that have waited for long. To be called after every turn."""
+        if not self._agents and not self._since:
+            return
         self._since = {wait: self._since.get(wait, now) for wait in self._waits()}
         self._told &= self._since.keys()
         for wait, since in self._since.items():

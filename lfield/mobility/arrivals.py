@@ -33,17 +33,15 @@ class Arrivals:
         inject: Callable[[Transfer, Buffer], Refusal | None],
     ) -> None:
         self._own, self._copies, self._departures, self._endings = own, copies, departures, endings
-        self._inject = inject
+        self._memory, self._inject = own.remembers, inject
 
     def arrive(self, host: str, header: Transfer, block: Buffer) -> list[Effect]:
         """A coordinator has arrived from `host`."""
-        if header.receiver_memory != self._own.remembers:
+        if header.receiver_memory != self._memory:
             return [self._late(host, header)]
-        unfit = self._unfit(header, len(block))
-        if unfit is not None:
-            return [Send(host, _refused(header, unfit))]
-        copy = self._copies.enter(header.agent, header.generation)
-        assert copy is not None
+        copy = self._fit(header, len(block))
+        if isinstance(copy, Refusal):
+            return [Send(host, _refused(header, copy))]
         effects = self._decide(copy, header, block) if header.sequence > copy.sequence else []
         effects.append(Send(host, _verdict(copy, header)))
         return effects
@@ -56,21 +54,22 @@ class Arrivals:
         start = header.agent, header.generation
         copy = self._copies.find(*start)
         seen = copy is not None and (copy.state != "ABSENT" or copy.sequence >= header.sequence)
-        if seen or start in self._copies.parked or header.receiver_memory != self._own.remembers:
+        if seen or start in self._copies.parked or header.receiver_memory != self._memory:
             return None
         here, memory = self._own.host, header.receiver_memory
         return Known(*start, header.sequence, header.hops, "PREPARED", here, receiver_memory=memory)
 
     def oversize(self, host: str, header: Transfer, size: int) -> list[Effect]:
         """A coordinator whose block was too large to be read."""
-        if header.receiver_memory != self._own.remembers:
+        if header.receiver_memory != self._memory:
             return [self._late(host, header)]
-        unfit = self._unfit(header, size) or self._too_large(header.agent, size)
+        found = self._fit(header, size)
+        unfit = found if isinstance(found, Refusal) else self._too_large(header.agent, size)
         return [Send(host, _refused(header, unfit))]
 
     def inquire(self, host: str, message: Inquire) -> list[Effect]:
         """What became of a transfer? One that was never seen is refused for good, should it still come."""
-        if message.receiver_memory != self._own.remembers:
+        if message.receiver_memory != self._memory:
             return [self._late(host, message)]
         copy = self._copies.enter(message.agent, message.generation)
         if copy is None:
@@ -118,8 +117,11 @@ class Arrivals:
         """A higher number proves that a copy still waiting for its verdict has arrived."""
         return self._departures.moved(copy) if copy.state == "PREPARED" else []
 
-    def _unfit(self, header: Transfer, size: int) -> Refusal | None:
-        """What can never be taken here. Depends on nothing that changes, so it needs no memory."""
+    def _fit(self, header: Transfer, size: int) -> Copy | Refusal:
+        """What is known of that start, or why it can never be taken here.
+
+        That depends on nothing that changes, so it needs no memory.
+        """
         if header.program != self._own.program:
             return Refusal(
                 UNREACHABLE,
@@ -128,18 +130,19 @@ class Arrivals:
             )
         if size > self._own.max_block:
             return self._too_large(header.agent, size)
-        if self._copies.enter(header.agent, header.generation) is None:
+        copy = self._copies.enter(header.agent, header.generation)
+        if copy is None:
             return Refusal(
                 UNREACHABLE,
                 f"{self._own.host} knows no coordinator {header.agent}, or over {MAX_STARTS} starts of it",
             )
-        if (header.agent, header.generation) in self._copies.parked:
+        if self._copies.parked and (header.agent, header.generation) in self._copies.parked:
             return Refusal(
                 UNREACHABLE,
                 f"{self._own.host} keeps another start of {header.agent} under that number, for another "
                 f"program: 'lfield forget {header.agent}' ends it",
             )
-        return None
+        return copy
 
     def _too_large(self, agent: str, size: int) -> Refusal:
         host, most = self._own.host, self._own.max_block

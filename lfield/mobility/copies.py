@@ -157,28 +157,25 @@ class Copies:
     def __init__(self, agents: Collection[str], mission: bytes = b"") -> None:
         self._starts: dict[str, dict[int, Copy]] = {agent: {} for agent in agents}
         self._mission = mission
+        #: Whether this host has a journal.
+        self.kept = bool(mission)
         #: The starts whose pages here belong to another mission: nothing but their end is written over them.
         self.parked: dict[tuple[str, int], CopyPage] = {}
 
-    @property
-    def kept(self) -> bool:
-        """Whether this host has a journal."""
-        return bool(self._mission)
-
     def keep(self, copy: Copy) -> list[Effect]:
         """Have what is known of it on disk before anything that comes after."""
-        return self._persist(copy, soon=False)
+        return self._persist(copy, soon=False) if self.kept or self.parked else []
 
     def keep_soon(self, copy: Copy) -> list[Effect]:
         """The same, but nothing waits for it: if it is lost, it is asked for again."""
-        return self._persist(copy, soon=True)
+        return self._persist(copy, soon=True) if self.kept or self.parked else []
 
     def _persist(self, copy: Copy, *, soon: bool) -> list[Effect]:
         start = copy.agent, copy.generation
         parked = self.parked.pop(start, None) if copy.state == "EXITED" else None
         if parked is not None and parked.sequence >= copy.sequence:
             copy.count(parked)
-        if not self._mission or start in self.parked:
+        if not self.kept or start in self.parked:
             return []
         return [Persist(copy.agent, copy.page(self._mission), soon=soon)]
 
@@ -195,7 +192,7 @@ class Copies:
 
     def enter(self, agent: str, generation: int) -> Copy | None:
         """`find`, with a new entry for a new start; None for a stranger, or when too many have not ended."""
-        if (agent, generation) in self.parked:
+        if self.parked and (agent, generation) in self.parked:
             # Its name may be no coordinator's here: how it ended is remembered all the same.
             self._starts.setdefault(agent, {})
         starts = self._starts.get(agent)

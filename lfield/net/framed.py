@@ -47,6 +47,10 @@ class FramedLink:
         """Queue bytes as they are. Only `send` and `send_transfer`, and tests of bad bytes, call it."""
         raise NotImplementedError
 
+    def write_now(self, data: Buffer) -> None:
+        """Write bytes at once, behind what is queued; the same where a transport knows no difference."""
+        self.write(data)
+
     def close(self) -> None:
         """Send what is queued, then close; sets `closed`."""
         raise NotImplementedError
@@ -65,19 +69,20 @@ class FramedLink:
         self.write(encode(message))
 
     def send_transfer(self, header: Transfer, block: Buffer) -> None:
-        """Queue a coordinator. Raises AddressError on a closed link."""
+        """Send a coordinator, at once. Raises AddressError on a closed link."""
         self._require_open()
         head = encode_transfer(header, block)
         if len(block) <= _ONE_WRITE:
-            self.write(b"".join((head, block)))
+            self.write_now(b"".join((head, block)))
         else:
-            self.write(head)
-            self.write(block)
+            self.write_now(head)
+            self.write_now(block)
 
     def received(self, data: Buffer) -> None:
         """Hand on what the next bytes complete; close on bytes or messages that must not be."""
+        frame = self._decoder.whole(data)
         try:
-            for kind, payload in self._decoder.feed(data):
+            for kind, payload in self._decoder.feed(data) if frame is None else (frame,):
                 if kind == TRANSFER:
                     header, block = decode_transfer(payload)
                     self.handler.on_transfer(self, header, block)

@@ -89,6 +89,8 @@ class Peers:
         near: Collection[str],
     ) -> None:
         self._owner, self._transport, self._clock = owner, transport, clock
+        #: The clock's monotonic time.
+        self.now = clock.monotonic
         self._hosts, self._addresses, self._here, self._near = hosts, addresses, here, near
         self._numbers = {host: number for number, host in enumerate(hosts)}
         #: Whom this host wants to talk to: always, and until when.
@@ -166,15 +168,19 @@ class Peers:
         """Send to a host; without a link the message is dropped, as mobility expects."""
         session = self._links.get(host)
         if session:
-            with suppress(AddressError):
+            try:
                 session.link.send(message)
+            except AddressError:
+                return
 
     def send_transfer(self, host: str, header: Transfer, block: Buffer) -> None:
         """Send a coordinator to a host. Where the link is just closing, `unlinked` is about to follow."""
         session = self._links.get(host)
         if session:
-            with suppress(AddressError):
+            try:
                 session.link.send_transfer(header, block)
+            except AddressError:
+                return
 
     # --- both directions ------------------------------------------------------------------------------
 
@@ -381,10 +387,6 @@ class Peers:
     def on_oversize(self) -> Callable[[str, Transfer, int], None]:
         """Where the headers of coordinators go that are too large."""
         return self._owner.too_large
-
-    def now(self) -> float:
-        """The clock's monotonic time."""
-        return self._clock.monotonic()
 
     def complain(self, text: str) -> None:
         """A line for the log, once: a caller that is refused calls again every second."""

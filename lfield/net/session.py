@@ -47,7 +47,8 @@ class Sessions(Protocol):
     def on_oversize(self) -> Callable[[str, Transfer, int], None]:
         """Where the headers of coordinators go that are too large."""
 
-    def now(self) -> float:
+    @property
+    def now(self) -> Callable[[], float]:
         """The clock's monotonic time."""
 
     def complain(self, text: str) -> None:
@@ -61,11 +62,11 @@ class Session:
     _greeting: Greeting
 
     def __init__(self, peers: Sessions, dialled: str | None, *, observers_only: bool = False) -> None:
-        self._peers = peers
+        self._peers, self._now = peers, peers.now
         self.dialled = dialled
         self.connected = False
         #: When it was made, and when the other took it.
-        self.made, self.linked_at = peers.now(), math.inf
+        self.made, self.linked_at = self._now(), math.inf
         self._observers_only = observers_only
         self.hello: Hello | None = None
         #: When something last came, and when this host last had no use for the link.
@@ -133,8 +134,8 @@ class Session:
 
     def _taken(self, hello: Hello) -> None:
         """Something came after the greeting: the other has taken ours."""
-        self.heard = self._peers.now()
-        if self.linked:
+        self.heard = self._now()
+        if self.linked_at < math.inf:
             return
         self._relax()
         self.linked_at = self.heard
@@ -142,10 +143,11 @@ class Session:
 
     def _sender(self) -> str:
         """Who sends a coordinator. Raises GreetingError for anybody who is not a host."""
-        if self.hello is None or self.hello.role != "host":
+        hello = self.hello
+        if hello is None or hello.role != "host":
             raise GreetingError("a coordinator came from nobody that has greeted as a host")
-        self._taken(self.hello)
-        return self.hello.host
+        self._taken(hello)
+        return hello.host
 
     def on_closed(self, link: Link, error: LfieldError | None) -> None:
         """The end of the link."""

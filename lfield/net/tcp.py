@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from lfield.net.transport import Link, LinkHandler
-    from lfield.wire.coordinators import Transfer
     from lfield.wire.framing import Buffer
 
 _REASONS = {
@@ -160,10 +159,13 @@ class _TcpLink(FramedLink, asyncio.Protocol):
             self._loop.call_soon(self._flush)
         self._waiting.append(data)
 
-    def send_transfer(self, header: Transfer, block: Buffer) -> None:
-        """A coordinator leaves at once, with what waits."""
-        super().send_transfer(header, block)
-        self._flush()
+    def write_now(self, data: Buffer) -> None:
+        """Nothing is planned for later where nothing waits: mostly a coordinator leaves alone."""
+        if self._waiting:
+            self._waiting.append(data)
+            self._flush()
+        elif not self._transport.is_closing():
+            self._transport.write(data)
 
     def _flush(self) -> None:
         waiting, self._waiting = self._waiting, []

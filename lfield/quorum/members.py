@@ -60,7 +60,7 @@ class Fences:
 
     def bars(self, agent: str, generation: int) -> bool:
         """Whether this start may not run any more, wherever it is."""
-        return generation < self.of(agent)
+        return generation < self._known.get(agent, 0)
 
     def raise_to(self, agent: str, generation: int) -> bool:
         """A fence was made; whether that is news."""

@@ -128,6 +128,6 @@ def either_engine(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatc
     """A fixture: machines that are told nothing have the engine that its parameter names."""
     if getattr(request, "param", "") == "both":
         pytest.importorskip("wasmtime", reason=NEEDED)
-        from lfield.vm.wasm.engine import Engine as Wasm
+        from lfield.vm.wasm.engine import Eager
 
-        monkeypatch.setattr("lfield.vm.machine.Engine", switching(Wasm, 1))
+        monkeypatch.setattr("lfield.vm.machine.Engine", switching(Eager, 1))

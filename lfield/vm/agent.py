@@ -73,11 +73,11 @@ class Agent:
     overdue: bool = False
     over: str = ""
     fetched: list[tuple[str, int, int]] = field(default_factory=list)
+    #: The id of the deployment.
+    id: str = field(init=False)
 
-    @property
-    def id(self) -> str:
-        """The id of the deployment."""
-        return self.member.id
+    def __post_init__(self) -> None:
+        self.id = self.member.id
 
     @property
     def hops(self) -> int:

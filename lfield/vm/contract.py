@@ -11,6 +11,8 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
+from msgspec import Struct
+
 from lfield.bytecode.program import BOOLEAN, INT, REAL, Program, Quad
 from lfield.vm.memory.block import Block
 from lfield.vm.memory.layout import Layouts
@@ -52,35 +54,29 @@ class Reading:
         self.word, self.until = 0, -math.inf
 
 
-@dataclass(frozen=True, slots=True)
-class Exit:
-    """Why an engine came back."""
+class Exit(Struct, frozen=True):
+    """Why an engine came back. A struct, since one is made in every turn (see `mobility.effects`)."""
 
 
-@dataclass(frozen=True, slots=True)
-class Done(Exit):
+class Done(Exit, frozen=True):
     """The thread's first method returned; `word` is its result as it stood in a slot."""
 
     word: int
 
 
-@dataclass(frozen=True, slots=True)
-class Spent(Exit):
+class Spent(Exit, frozen=True):
     """The budget is used up; the thread can go on."""
 
 
-@dataclass(frozen=True, slots=True)
-class Stopped(Exit):
+class Stopped(Exit, frozen=True):
     """The thread has come to an instruction where its engine was asked to stop."""
 
 
-@dataclass(frozen=True, slots=True)
-class Blocked(Exit):
+class Blocked(Exit, frozen=True):
     """Another thread of the agent holds the monitor; the instruction runs again later."""
 
 
-@dataclass(frozen=True, slots=True)
-class Outside(Exit):
+class Outside(Exit, frozen=True):
     """A head that only the machine can carry out.
 
     `op` is its opcode, `operand` its own operand, `words` the arguments as they stood in their slots.
@@ -92,15 +88,13 @@ class Outside(Exit):
     words: list[int]
 
 
-@dataclass(frozen=True, slots=True)
-class Thrown(Exit):
+class Thrown(Exit, frozen=True):
     """Nobody in the thread catches the object at `place`; its frames stand as they were."""
 
     place: int
 
 
-@dataclass(frozen=True, slots=True)
-class NoRoom(Exit):
+class NoRoom(Exit, frozen=True):
     """The heap lacks `words`; after a collection the same instruction runs again."""
 
     words: int

@@ -76,6 +76,8 @@ class TimeLimits:
 
     def look(self, agent: Agent) -> None:
         """A coordinator has come, with the limits that it is under."""
+        if not self._scheduler.program.has_limits:
+            return
         if ends := [agent.block.w[word] for word, _ in self._around(agent)]:
             self._arm(agent, min(ends))
 

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import random
 import traceback as python_traceback
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
+from typing import Any
 
 from lfield.bytecode.program import Program
 from lfield.clock import Clock
@@ -34,9 +35,9 @@ from lfield.vm.contract import (
 )
 from lfield.vm.limits import TimeLimits
 from lfield.vm.memory import layout
-from lfield.vm.memory.block import Block, Full
+from lfield.vm.memory.block import Block
 from lfield.vm.memory.collector import compact
-from lfield.vm.memory.layout import BLOCKED, THREAD_CALL, THREAD_ID
+from lfield.vm.memory.layout import BLOCKED, READY, THREAD_CALL, THREAD_ID, THREAD_STATE
 from lfield.vm.memory.liveness import Liveness
 from lfield.vm.memory.soundness import Soundness
 from lfield.vm.memory.threads import place_of
@@ -53,8 +54,10 @@ from lfield.vm.world import World
 
 #: Instructions a thread may run before the next one's turn.
 SLICE = 2000
-#: Slices one call of `run` gives before it lets the host look at the world, on the reference engine.
-ROUND = 20
+#: How much one call of `run` does before it lets the host look at the world: the instructions of so many
+#: slices, on the reference engine, in so many turns at most. Who calls portals has many turns, and each of
+#: them does little.
+ROUND, TURNS = 20, 100
 
 
 class Machine:
@@ -81,13 +84,13 @@ class Machine:
         self.program = program
         self.team = team
         self._here, self._world, self._fenced = here, world, fenced
-        #: How many slices the last turn has taken.
-        self._used = 1
         self._scheduler = scheduler = Scheduler(
             program, 1 + life % (layout.START_LIMIT - 1), world, clock, self._portal_failed, engines or Engine
         )
         #: The agents that are here, by id.
         self.agents = scheduler.agents
+        #: Those of them whose `init` has not come to its first pause.
+        self.opening = scheduler.opening
         #: Who watches its portal calls and what it computes, and what stands in for resources.
         self.attached = scheduler.attached
         self.engine, self.layouts, self._turns = scheduler.engine, scheduler.layouts, scheduler.turns
@@ -109,6 +112,15 @@ class Machine:
         self._together = Together(scheduler, self._visits, held, cancelling, self._limits)
         heads = {**self._together.heads(), **Reserving(scheduler, held, here).heads()}
         self._outsiders = Outsiders(scheduler, team, here, dice, cancelling, self._limits, held, heads)
+        #: What each exit of the engine asks for.
+        self._exits: dict[type[Exit], Callable[[Agent, int, Any], None]] = {
+            Outside: self._outsiders.carry_out,
+            Done: self._done,
+            Spent: lambda agent, thread, _: self._turns.last(agent, thread),
+            Blocked: self._blocked,
+            NoRoom: lambda agent, thread, leave: scheduler.make_room(agent, thread, leave.words),
+            Thrown: lambda agent, thread, leave: scheduler.uncaught(agent, thread, leave.place),
+        }
 
     # --- agents come and go ---------------------------------------------------------------------------
 
@@ -125,6 +137,8 @@ class Machine:
         w[layout.W_GENERATION] = generation
         block.visit(self._here)
         self.agents[member.id] = agent
+        if not agent.open:
+            self.opening[member.id] = agent
         try:
             self._scheduler.with_room(agent, lambda: self._scheduler.born(agent, record))
         except Trap as trap:
@@ -168,7 +182,10 @@ class Machine:
         """Let a frozen coordinator call its portal; the host may be asked again (`World.may_begin`)."""
         if agent.frozen:
             agent.frozen = False
-            self._turns.next(agent, _only_thread(agent))
+            w = agent.block.w
+            place = w[layout.W_THREADS]
+            w[place + THREAD_STATE] = READY
+            self._turns.soon(agent, w[place + THREAD_ID])
 
     def pack(self, agent: Agent) -> memoryview:
         """The bytes of a frozen coordinator, live data only."""
@@ -182,7 +199,8 @@ class Machine:
 
         What was packed earlier and is sent now has waited meanwhile: its time limits count that.
         """
-        agent.block.w[layout.W_CLOCK] = min(self._scheduler.clock_of(agent), layout.COUNT_LIMIT - 1)
+        now = self._scheduler.clock_of(agent)
+        agent.block.w[layout.W_CLOCK] = now if now < layout.COUNT_LIMIT else layout.COUNT_LIMIT - 1
 
     def calling(self, agent: Agent) -> tuple[Member, str] | None:
         """The resource and the portal that a frozen coordinator stands at; None when its proxy is null.
@@ -300,24 +318,28 @@ class Machine:
         Returns the seconds until a thread can run again (0: at once), or None when only the world can
         change that.
         """
-        turns = self._turns
-        for agent, ring in turns.wake():
+        turns, ready = self._turns, self._turns.ready
+        if turns.timed:
+            self._wake()
+        left = ROUND * SLICE * self.engine.pace
+        for _ in range(TURNS):
+            if not ready or left <= 0:
+                break
+            agent, thread = ready.popleft()
+            # Nobody else can become ready: the rest of the round is all this thread's, so it has it at once.
+            alone = not (ready or agent.pollers or agent.blocked or self.attached.meter)
+            try:
+                left -= self._turn(agent, thread, max(left, SLICE) if alone else SLICE)
+            except Exception as error:
+                self._break(agent, thread, error)
+        return turns.pause()
+
+    def _wake(self) -> None:
+        for agent, ring in self._turns.wake():
             try:
                 ring()
             except Exception as error:
                 self._break(agent, 0, error)
-        left = ROUND * self.engine.pace
-        while left > 0 and turns:
-            agent, thread = turns.take()
-            # Nobody else can become ready: the slices are all this thread's, so it has them at once.
-            alone = not (turns or agent.pollers or agent.blocked or self.attached.meter)
-            self._used = 1
-            try:
-                self._turn(agent, thread, left if alone else 1)
-            except Exception as error:
-                self._break(agent, thread, error)
-            left -= self._used
-        return turns.pause()
 
     def _break(self, agent: Agent, thread: int, error: Exception) -> None:
         """A bug of ours in what was done for a thread ends its agent, and nobody else."""
@@ -330,16 +352,15 @@ class Machine:
             # Where it stood cannot even be told; whoever waits for it must hear all the same.
             self._scheduler.die(agent, reason)
 
-    def _turn(self, agent: Agent, thread: int, slices: int) -> None:
-        """A slice of one thread, or several; and whatever its exit asks for."""
+    def _turn(self, agent: Agent, thread: int, budget: int) -> int:
+        """So many instructions of one thread, and whatever its exit asks for; how many it has taken."""
         if agent.ended or agent.frozen:
-            return
+            return 0
         scheduler = self._scheduler
-        place = place_of(agent.block, thread)
-        budget = SLICE * slices
-        leave = self.engine.run(agent.block, place, budget, agent.limits, agent.readings)
+        block = agent.block
+        place = place_of(block, thread)
+        leave = self.engine.run(block, place, budget, agent.limits, agent.readings)
         used = budget - self.engine.unused
-        self._used = max(1, -(-used // SLICE))
         if self.attached.meter is not None:
             self.attached.meter(used)
         if agent.polls and self.engine.asked:
@@ -347,43 +368,25 @@ class Machine:
         if agent.blocked:
             scheduler.unblock(agent)
         agent.polled = False
-        self._handle(agent, thread, leave)
+        self._exits[type(leave)](agent, thread, leave)
         if not agent.polled and (agent.seen or agent.pollers):
             scheduler.stir(agent)
+        return used
 
-    def _handle(self, agent: Agent, thread: int, leave: Exit) -> None:
-        match leave:
-            case Outside():
-                self._carry_out(agent, thread, leave)
-            case Spent():
-                self._turns.last(agent, thread)
-            case Done():
-                self._done(agent, thread, leave.word)
-            case NoRoom():
-                self._scheduler.make_room(agent, thread, leave.words)
-            case Blocked():
-                self._scheduler.set_state(agent, thread, BLOCKED)
-                agent.blocked.append(thread)
-                if agent.cancels.get(thread):
-                    agent.blocked.remove(thread)
-                    self._cancelling.strike(agent, thread)
-            case Thrown():
-                self._scheduler.uncaught(agent, thread, leave.place)
+    def _blocked(self, agent: Agent, thread: int, leave: Exit) -> None:
+        self._scheduler.set_state(agent, thread, BLOCKED)
+        agent.blocked.append(thread)
+        if agent.cancels.get(thread):
+            agent.blocked.remove(thread)
+            self._cancelling.strike(agent, thread)
 
-    def _carry_out(self, agent: Agent, thread: int, leave: Outside) -> None:
-        start = agent.block.top
-        try:
-            self._outsiders.carry_out(agent, thread, leave)
-        except Full as full:
-            self._scheduler.make_room(agent, thread, agent.block.lacking(start, full))
-
-    def _done(self, agent: Agent, thread: int, word: int) -> None:
+    def _done(self, agent: Agent, thread: int, leave: Done) -> None:
         scheduler = self._scheduler
         if agent.lines:
             scheduler.flush(agent, thread)
         call = agent.block.w[place_of(agent.block, thread) + THREAD_CALL]
         if call:
-            portals.finish(scheduler, agent, thread, call, word)
+            portals.finish(scheduler, agent, thread, call, leave.word)
         elif agent.member.kind == "coordinator":
             agent.ended = "done"
             scheduler.release(agent)

@@ -19,6 +19,7 @@ from lfield.vm.cancelling import Cancelling
 from lfield.vm.contract import Outside
 from lfield.vm.limits import TimeLimits
 from lfield.vm.memory import layout
+from lfield.vm.memory.block import Full
 from lfield.vm.memory.layout import PARKED, PROXY_MEMBER, WAITING
 from lfield.vm.memory.threads import place_of, still_image
 from lfield.vm.memory.values import plain, real_of, real_text, word_for, word_of
@@ -51,6 +52,7 @@ class Outsiders:
     ) -> None:
         self._scheduler, self._team, self._here, self._dice = scheduler, team, here, dice
         self._cancelling, self._limits, self._held = cancelling, limits, held
+        self._reserves = scheduler.program.has_reserves
         self._shapes = Shapes(scheduler.program)
         self._by_type: dict[str, dict[str, int]] = {}
         for member in team:
@@ -79,14 +81,22 @@ class Outsiders:
         }
 
     def carry_out(self, agent: Agent, thread: int, leave: Outside) -> None:
-        """Do what a thread asked for, unless its time is over or its call is cancelled. Raises Full."""
+        """Do what a thread asked for, unless its time is over or its call is cancelled.
+
+        What lacks room is done again when there is.
+        """
         if agent.cancels and self._cancelling.waits(agent, thread, leave.op, leave.operand):
             return
         if agent.overdue and self._limits.strike(agent):
             return
         if agent.polls:
             self._note_poll(agent, thread, BY_CODE[leave.op].name)
-        self._by_code[leave.op](agent, thread, leave.operand, leave.words)
+        block = agent.block
+        start = block.top
+        try:
+            self._by_code[leave.op](agent, thread, leave.operand, leave.words)
+        except Full as full:
+            self._scheduler.make_room(agent, thread, block.lacking(start, full))
 
     def _note_poll(self, agent: Agent, thread: int, name: str) -> None:
         """Anything but asking and yielding shows that a thread does more than poll."""
@@ -195,9 +205,9 @@ class Outsiders:
     # --- the team -------------------------------------------------------------------------------------
 
     def _pcall(self, agent: Agent, thread: int, operand: int, words: list[int]) -> None:
-        member = self._behind(agent, words[0])
+        member = self._team[agent.block.w[words[0] + PROXY_MEMBER]]
         if member.host == self._here:
-            number = self._held.number(agent, member)
+            number = self._held.number(agent, member) if self._reserves else 0
             portals.call(self._scheduler, member, agent, thread, operand, words, number)
             return
         self._scheduler.freeze(agent, thread)

@@ -10,19 +10,21 @@ from lfield.vm.agent import Agent, Member
 from lfield.vm.begun import Begun
 from lfield.vm.contract import Trap
 from lfield.vm.inspect import traceback
-from lfield.vm.memory.block import Block
+from lfield.vm.memory.block import Block, Full
 from lfield.vm.memory.copier import deep_copy
 from lfield.vm.memory.layout import (
     CALLING,
     PROXY_START,
+    READY,
     THREAD_CALL,
     THREAD_PC,
+    THREAD_STATE,
     W_GENERATION,
     W_SELF,
     W_SEQUENCE,
 )
 from lfield.vm.memory.parcels import parcel_made, parcel_of, plain_parcel
-from lfield.vm.memory.threads import count, place_of, threads
+from lfield.vm.memory.threads import count, new_thread, place_of, threads
 from lfield.vm.scheduler import Scheduler
 
 _RESTARTED = (
@@ -48,20 +50,24 @@ def call(
     except Trap as trap:
         scheduler.refuse(caller, thread, trap.kind, trap.message, member.id)
         return
-    scheduler.set_state(caller, thread, CALLING)
+    caller.block.w[place_of(caller.block, thread) + THREAD_STATE] = CALLING
     if not resource.open:
         resource.waiting.append((caller, thread))
         return
     try:
-        if not serves(scheduler, resource, caller, reservation):
+        if (reservation or resource.reserved) and not serves(scheduler, resource, caller, reservation):
             return
-        if not _may_begin(scheduler, caller, method in scheduler.acting):
+        acts = method in scheduler.acting
+        if (caller.fenced or (acts and not caller.kept)) and not _may_begin(scheduler, caller, acts):
             return
         served = begin(scheduler, resource, caller, (caller, thread), method, words)
     except Trap as trap:
         scheduler.refuse(caller, thread, trap.kind, trap.message, member.id)
         return
-    serve(scheduler, resource, served, method, scheduler.turns.next)
+    if scheduler.attached.stand_ins:
+        serve(scheduler, resource, served, method, scheduler.turns.soon)
+    else:
+        scheduler.turns.soon(resource, served)
 
 
 def living(scheduler: Scheduler, member: Member) -> Agent:
@@ -79,12 +85,15 @@ def called(scheduler: Scheduler, member: Member, caller: Agent, proxy: int) -> A
     An older copy than the newest that the resource has served is refused. A proxy that was called in another
     life of this host is told first, by an exception: the fields of its resource are lost.
     """
-    resource = living(scheduler, member)
+    resource = scheduler.agents.get(member.id)
+    if resource is None or resource.ended:
+        resource = living(scheduler, member)
     w, start = caller.block.w, proxy + PROXY_START
     copy = w[W_GENERATION], w[W_SEQUENCE]
     if copy < resource.callers.get(caller.id, copy) and (why := _outdated(scheduler, resource, caller, copy)):
         raise Trap("UnreachableResourceException", why)
-    if w[start] and w[start] != scheduler.life:
+    life = w[start]
+    if life and life != scheduler.life:
         w[start] = scheduler.life
         raise Trap("RestartException", _RESTARTED.format(member.id))
     return resource
@@ -122,9 +131,10 @@ def serves(scheduler: Scheduler, resource: Agent, caller: Agent, reservation: in
 
 
 def _may_begin(scheduler: Scheduler, caller: Agent, acts: bool) -> bool:
-    """Whether the portal may begin now; else its caller is frozen until its host lets it call again."""
-    if not caller.fenced and (caller.kept or not acts):
-        return True
+    """Whether the portal may begin now; else its caller is frozen until its host lets it call again.
+
+    Only asked of who is fenced, or acts and is not kept.
+    """
     caller.frozen = True
     if not scheduler.world.may_begin(caller, acts):
         return False
@@ -147,22 +157,13 @@ def begin(
     limit = resource.limits.threads
     if count(resource.block) >= limit:
         raise Trap("LimitException", f"{resource.id} serves its limit of {limit} threads")
-    scheduler.last_call += 1
-    number = scheduler.last_call
-    references = scheduler.reference_arguments(method)
-
-    def work() -> int:
-        block = resource.block
-        into = list(words)
-        if references:
-            roots = [words[i] for i in references]
-            copies = deep_copy(caller.block, roots, block, scheduler.layouts)
-            for i, place in zip(references, copies, strict=True):
-                into[i] = place
-        into[0] = block.w[W_SELF]
-        return scheduler.spawn(resource, method, into, number)
-
-    served = scheduler.with_room(resource, work)
+    number = scheduler.last_call = scheduler.last_call + 1
+    try:
+        served = _thread(scheduler, resource, caller, method, words, number)
+    except Full:
+        served = scheduler.with_room(
+            resource, lambda: _thread(scheduler, resource, caller, method, words, number)
+        )
     scheduler.calls[number] = waits
     w = caller.block.w
     w[words[0] + PROXY_START] = scheduler.life
@@ -171,6 +172,20 @@ def begin(
     if scheduler.attached.watch is not None:
         scheduler.attached.watch.began(resource, served, number, method, caller.id)
     return served
+
+
+def _thread(
+    scheduler: Scheduler, resource: Agent, caller: Agent, method: int, words: list[int], number: int
+) -> int:
+    """The thread of a portal, with copies of its arguments; raises Full."""
+    block, into = resource.block, words.copy()
+    if references := scheduler.reference_arguments[method]:
+        roots = [words[i] for i in references]
+        copies = deep_copy(caller.block, roots, block, scheduler.layouts)
+        for i, place in zip(references, copies, strict=True):
+            into[i] = place
+    into[0] = block.w[W_SELF]
+    return new_thread(block, scheduler.templates[method], into, number)
 
 
 def serve(
@@ -236,16 +251,14 @@ def finish(scheduler: Scheduler, resource: Agent, thread: int, number: int, word
     resource.served += 1
     if scheduler.attached.watch is not None:
         scheduler.attached.watch.gave(resource, number, word)
-    if number not in scheduler.calls:
-        scheduler.forget(resource, thread)
-        return
-    waits = scheduler.calls[number]
-    if isinstance(waits, Begun):
-        _give(scheduler, resource, waits, word)
-    else:
-        _return(scheduler, resource, *waits, word)
-    # Until here whoever waits would hear of the resource's end.
-    del scheduler.calls[number]
+    waits = scheduler.calls.get(number)
+    if waits is not None:
+        if isinstance(waits, Begun):
+            _give(scheduler, resource, waits, word)
+        else:
+            _return(scheduler, resource, waits[0], waits[1], word)
+        # Until here whoever waits would hear of the resource's end.
+        del scheduler.calls[number]
     scheduler.forget(resource, thread)
 
 
@@ -263,15 +276,16 @@ def _return(scheduler: Scheduler, resource: Agent, caller: Agent, waiter: int, w
     if caller.over:
         scheduler.refuse(caller, waiter, "TimeLimitException", caller.over, resource.id)
         return
+    w = caller.block.w
     place = place_of(caller.block, waiter)
-    group = scheduler.engine.groups[caller.block.w[place + THREAD_PC]]
-    if group.kind in REFERENCES and word:
+    if word and scheduler.engine.groups[w[place + THREAD_PC]].kind in REFERENCES:
         scheduler.complete(
             caller, waiter, lambda: deep_copy(resource.block, [word], caller.block, scheduler.layouts)[0]
         )
     else:
         scheduler.engine.complete(caller.block, place, word)
-        scheduler.turns.next(caller, waiter)
+        w[place + THREAD_STATE] = READY
+        scheduler.turns.soon(caller, waiter)
 
 
 def fail(scheduler: Scheduler, resource: Agent, thread: int, number: int, thrown: int) -> None:

@@ -10,7 +10,7 @@ from itertools import count
 from typing import Literal, TypeVar
 
 from lfield.bytecode.acting import acting_methods
-from lfield.bytecode.program import DEVICE, REFERENCES, Program
+from lfield.bytecode.program import DEVICE, REFERENCES, MethodRecord, Program
 from lfield.clock import Clock
 from lfield.vm.agent import Agent
 from lfield.vm.attached import Attached
@@ -20,9 +20,18 @@ from lfield.vm.inspect import traceback
 from lfield.vm.memory import layout
 from lfield.vm.memory.block import Block, Full
 from lfield.vm.memory.collector import collect
-from lfield.vm.memory.layout import ARRAY, CALLING, DEAD, OBJECT, THREAD_CALL, THREAD_PC, THREAD_STATE
+from lfield.vm.memory.layout import (
+    ARRAY,
+    CALLING,
+    DEAD,
+    OBJECT,
+    THREAD_CALL,
+    THREAD_PC,
+    THREAD_STATE,
+    Layouts,
+)
 from lfield.vm.memory.parcels import parcel_made
-from lfield.vm.memory.threads import new_thread, place_of, threads, unlink
+from lfield.vm.memory.threads import new_thread, place_of, thread_template, threads, unlink
 from lfield.vm.memory.values import new_exception
 from lfield.vm.turns import Turns
 from lfield.vm.world import World
@@ -54,6 +63,8 @@ class Scheduler:
         self.engine = engines(program, clock.monotonic)
         self.layouts = self.engine.layouts
         self.agents: dict[str, Agent] = {}
+        #: Those of them whose `init` has not come to its first pause.
+        self.opening: dict[str, Agent] = {}
         #: The portals whose callers are kept first: they may change something.
         self.acting = acting_methods(program)
         #: The portal calls under way: for each number, who waits for it, or the record of a call that was
@@ -69,7 +80,10 @@ class Scheduler:
         self.turns = Turns(clock)
         self.attached = Attached()
         self._failed = failed
-        self._reference_arguments: dict[int, tuple[int, ...]] = {}
+        #: By method, which arguments are references (1: the first after the object itself).
+        self.reference_arguments = [_references(program, method) for method in program.core.methods]
+        #: By method, what a thread that runs it looks like at first.
+        self.templates = _Templates(program, self.layouts)
 
     # --- time -----------------------------------------------------------------------------------------
 
@@ -119,27 +133,14 @@ class Scheduler:
 
     def spawn(self, agent: Agent, method: int, words: list[int], call: int) -> int:
         """A thread of an agent, not yet in the queue; raises Full."""
-        record = self.program.core.methods[method]
-        frame = self.layouts.frame_words[method]
-        entry = record.entry if record.synchronized else record.entry + 1
-        return new_thread(agent.block, method, frame, entry, words, call)
-
-    def reference_arguments(self, method: int) -> tuple[int, ...]:
-        """Which arguments of a portal are references (1: the first after the resource itself)."""
-        found = self._reference_arguments.get(method)
-        if found is None:
-            record, types = self.program.core.methods[method], self.program.core.types
-            found = tuple(
-                i for i in range(1, record.parameters + 1) if types[record.slots[i]].kind in REFERENCES
-            )
-            self._reference_arguments[method] = found
-        return found
+        return new_thread(agent.block, self.templates[method], words, call)
 
     def open(self, agent: Agent) -> None:
         """A resource came to its first pause: calls that waited for it begin."""
         if agent.open:
             return
         agent.open = True
+        self.opening.pop(agent.id, None)
         waiting, agent.waiting = agent.waiting, []
         for caller, thread in waiting:
             self.turns.last(caller, thread)
@@ -187,7 +188,7 @@ class Scheduler:
 
     def freeze(self, agent: Agent, thread: int) -> None:
         """Hold a coordinator at its portal call."""
-        self.set_state(agent, thread, CALLING)
+        agent.block.w[place_of(agent.block, thread) + THREAD_STATE] = CALLING
         agent.frozen = True
 
     def stir(self, agent: Agent) -> None:
@@ -268,6 +269,7 @@ class Scheduler:
             agent.block.w[place + THREAD_STATE] = DEAD
         agent.report = "\n".join(lines)
         agent.ended = "died"
+        self.opening.pop(agent.id, None)
         if self.attached.watch is not None:
             self.attached.watch.died(agent, reason)
         self._tell_of_death(agent, f"{agent.id} has died: {reason}")
@@ -318,11 +320,30 @@ class Scheduler:
     def forget(self, agent: Agent, thread: int) -> None:
         """A thread of an agent that goes on has come to its end."""
         unlink(agent.block, thread)
-        agent.polls.pop(thread, None)
-        agent.asked.discard(thread)
-        agent.cancels.pop(thread, None)
+        if agent.polls or agent.asked or agent.cancels:
+            agent.polls.pop(thread, None)
+            agent.asked.discard(thread)
+            agent.cancels.pop(thread, None)
 
     def flush(self, agent: Agent, thread: int) -> None:
         """Write what a thread has left of a line."""
         if rest := agent.lines.pop(thread, ""):
             self.world.write(agent, rest)
+
+
+class _Templates(dict[int, "memoryview[int]"]):
+    """Made when they are first wanted."""
+
+    def __init__(self, program: Program, layouts: Layouts) -> None:
+        self._program, self._layouts = program, layouts
+
+    def __missing__(self, method: int) -> memoryview[int]:
+        record = self._program.core.methods[method]
+        entry = record.entry if record.synchronized else record.entry + 1
+        self[method] = made = thread_template(method, self._layouts.frame_words[method], entry)
+        return made
+
+
+def _references(program: Program, method: MethodRecord) -> tuple[int, ...]:
+    types, slots = program.core.types, method.slots
+    return tuple(i for i in range(1, method.parameters + 1) if types[slots[i]].kind in REFERENCES)

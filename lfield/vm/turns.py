@@ -23,7 +23,8 @@ class Turns:
 
     def __init__(self, clock: Clock) -> None:
         self._clock = clock
-        self._ready: deque[tuple[Agent, int]] = deque()
+        #: The threads that can run; the first one's turn is next.
+        self.ready: deque[tuple[Agent, int]] = deque()
         self._timers: list[tuple[float, int, Agent, int]] = []
         self._alarms: list[tuple[float, int, Agent, Callable[[], None]]] = []
         #: The timer of each thread that sleeps, by its number: others of it do not count any more.
@@ -31,30 +32,32 @@ class Turns:
         self._timed = 0
         self._streak = 0
 
-    def __bool__(self) -> bool:
-        return bool(self._ready)
-
-    def take(self) -> tuple[Agent, int]:
-        """The thread whose turn it is; there must be one."""
-        return self._ready.popleft()
+    @property
+    def timed(self) -> bool:
+        """Whether anybody sleeps, or an alarm is set: else there is nothing to `wake`."""
+        return bool(self._timers or self._alarms)
 
     def last(self, agent: Agent, thread: int) -> None:
         """The thread is ready and waits its turn."""
         agent.block.w[place_of(agent.block, thread) + THREAD_STATE] = READY
-        self._ready.append((agent, thread))
+        self.ready.append((agent, thread))
 
     def next(self, agent: Agent, thread: int) -> None:
         """The next turn is this thread's: it has only asked for a moment, or somebody waits for it.
 
         After STREAK such turns in a row everybody else comes first, so that nobody starves.
         """
-        self._streak += 1
-        if self._streak >= STREAK:
-            self._streak = 0
-            self.last(agent, thread)
-            return
         agent.block.w[place_of(agent.block, thread) + THREAD_STATE] = READY
-        self._ready.appendleft((agent, thread))
+        self.soon(agent, thread)
+
+    def soon(self, agent: Agent, thread: int) -> None:
+        """As `next`, of a thread whose state is READY already."""
+        self._streak += 1
+        if self._streak < STREAK:
+            self.ready.appendleft((agent, thread))
+        else:
+            self._streak = 0
+            self.ready.append((agent, thread))
 
     def sleep(self, agent: Agent, thread: int, seconds: float) -> None:
         """The thread is ready again after so many seconds."""
@@ -66,8 +69,8 @@ class Turns:
     def drop(self, agent: Agent, thread: int) -> None:
         """The thread waits neither for its turn nor for a time."""
         self._asleep.pop((agent, thread), None)
-        if (agent, thread) in self._ready:
-            self._ready.remove((agent, thread))
+        if (agent, thread) in self.ready:
+            self.ready.remove((agent, thread))
 
     def alarm(self, agent: Agent, seconds: float, ring: Callable[[], None]) -> None:
         """Have something done for an agent after so many seconds, by whoever calls `wake`."""
@@ -85,7 +88,7 @@ class Turns:
 
         In the order of their times, however late it is: a sleep that would have ended after an alarm has not.
         """
-        now = self._clock.monotonic() if self._timers or self._alarms else 0.0
+        now = self._clock.monotonic()
         while self._alarms and self._alarms[0][0] <= now:
             self._wake(self._alarms[0][0])
             _, _, agent, ring = heappop(self._alarms)
@@ -104,8 +107,10 @@ class Turns:
 
     def pause(self) -> float | None:
         """Seconds until somebody can run or an alarm rings: 0 for at once, None for never of itself."""
-        if self._ready:
+        if self.ready:
             return 0.0
+        if not self.timed:
+            return None
         while self._alarms and self._alarms[0][2].ended:
             heappop(self._alarms)
         while self._timers and self._asleep.get(self._timers[0][2:]) != self._timers[0][1]:

@@ -48,7 +48,8 @@ MAX_TRANSFER_HEADER = 1024
 
 _HELLO_START = struct.Struct(">4sH")
 _CHECKSUM = struct.Struct(">I")
-_TRANSFER_START = struct.Struct(">IIH")
+#: The header's checksum, the block's, the size of `Transfer`; and what of that the first one is of.
+_TRANSFER_START, _TRANSFER_CHECKED = struct.Struct(">IIH"), struct.Struct(">IH")
 
 #: What may come before the greeting, in bytes: anybody may send that, and hold so much memory.
 GREETING_LIMITS = {HELLO: 1 << 18, REFUSE: 4 * MAX_TEXT}
@@ -94,9 +95,9 @@ def encode(message: Message) -> bytes:
 def encode_transfer(header: Transfer, block: Buffer) -> bytes:
     """The bytes to send before a block: frame header and transfer header."""
     body = _encode(header)
-    start = _TRANSFER_START.pack(0, zlib.adler32(block), len(body))[_CHECKSUM.size :] + body
+    start = _TRANSFER_CHECKED.pack(zlib.adler32(block), len(body)) + body
     length = _CHECKSUM.size + len(start) + len(block)
-    return b"".join((frame_header(TRANSFER, length), _CHECKSUM.pack(zlib.crc32(start, length)), start))
+    return frame_header(TRANSFER, length) + _CHECKSUM.pack(zlib.crc32(start, length)) + start
 
 
 def decode(kind: int, payload: Buffer) -> Message:

@@ -70,6 +70,19 @@ class FrameDecoder:
         """Whether the stream stands inside a frame: if it ends now, something is lost."""
         return self._body is not None or bool(self._start)
 
+    def whole(self, data: Buffer) -> tuple[int, memoryview] | None:
+        """The kind and payload of a frame that the next bytes are, no more and no less; else None.
+
+        Mostly they are: then nothing has to be fed.
+        """
+        size = len(data) - HEADER_SIZE
+        if size < 0 or self._body is not None or self._start:
+            return None
+        length, kind = _HEADER.unpack_from(data)
+        if length - 1 != size or size > self.limits.get(kind, -1):
+            return None
+        return kind, memoryview(data)[HEADER_SIZE:]
+
     def feed(self, data: Buffer) -> Iterator[tuple[int, memoryview]]:
         """Take the next bytes and yield each frame they complete, as kind and payload.
 

@@ -8,6 +8,7 @@ from harness.bench import main
 
 FIGURES = {
     "hop": "hops.hop",
+    "stages": "hops.stages",
     "local": "hops.local",
     "agreement": "hops.agreement",
     "together": "hops.together",

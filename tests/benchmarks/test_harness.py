@@ -101,6 +101,15 @@ def test_a_contender_that_fails_leaves_the_others():
     assert (bad.measured, bad.error) == ("a", "OSError: no such thing")
 
 
+def test_the_ratio_to_a_rival_has_its_least_and_its_greatest_round():
+    took = iter([1.0, 2.0, 6.0])
+    rising = {"a": lambda checkout, processes: lambda: {"case": [next(took)]}, "b": giving(2.0)}
+    figure = Figure("", rising, rounds=3, ratios=(("a", "b", "0.60x"), ("a", "gone", "1.00x")))
+    *_, ratio = rows_of(figure, HERE, silent)
+    assert (ratio.measured, ratio.unit, ratio.target) == ("a / b", TIMES, "0.60x")
+    assert ratio.numbers() == {"min": 0.5, "median": 1.0, "p99": 3.0, "max": 3.0}
+
+
 def test_one_that_fails_in_a_later_round_leaves_the_others():
     left = [1.0]
     openers = {"a": lambda: lambda: {"": [left.pop()]}, "b": lambda: lambda: {"": [2.0]}}

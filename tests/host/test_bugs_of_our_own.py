@@ -67,15 +67,15 @@ DEPLOYMENT = """
 MINE = ("victim", "vnear", "vfar")
 
 IN_A_TURN = [
-    (Machine, "_handle"), (Machine, "_done"), (Machine, "_turn"), (Machine, "pack"),
+    (Machine, "_done"), (Machine, "_turn"), (Machine, "pack"),
     (Engine, "run"), (Engine, "complete"), (Engine, "throw"),
-    (Scheduler, "complete"), (Scheduler, "with_room"), (Scheduler, "set_state"), (Scheduler, "open"),
-    (Scheduler, "throw"), (Scheduler, "standing"), (Scheduler, "spawn"), (Scheduler, "flush"),
+    (Scheduler, "complete"), (Scheduler, "with_room"), (Scheduler, "open"),
+    (Scheduler, "throw"), (Scheduler, "standing"), (portals, "new_thread"), (Scheduler, "flush"),
     (Scheduler, "forget"), (Scheduler, "give_back"), (Scheduler, "uncaught"), (Scheduler, "freeze"),
     (Outsiders, "carry_out"), (Outsiders, "_yield"), (Outsiders, "_sleep"), (Outsiders, "_now"),
     (Outsiders, "_random"), (Outsiders, "_random_int"), (Outsiders, "_find"), (Outsiders, "_find_all"),
     (Outsiders, "_pcall"), (Outsiders, "_write"),
-    (Turns, "last"), (Turns, "next"), (Turns, "sleep"),
+    (Turns, "last"), (Turns, "next"), (Turns, "soon"), (Turns, "sleep"),
     (portals, "call"), (portals, "begin"), (portals, "finish"), (portals, "fail"),
     (HostWorld, "write"), (HostWorld, "log"), (HostWorld, "depart"), (Liveness, "clear_dead"),
 ]  # fmt: skip

@@ -44,7 +44,7 @@ def test_who_waits_for_an_init_is_told_of_after_a_second_and_once() -> None:
     desk, clock, log = Homing(), ManualClock(), []
     team = team_for(program, [])
     machine = Machine(program, team, 0, 1, desk, clock, random.Random(1))
-    inits = Inits(machine.agents, log.append)
+    inits = Inits(machine.opening, log.append)
     for member in team:
         machine.start(member, Limits(), generation=1)
     settle(machine, clock)

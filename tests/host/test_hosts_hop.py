@@ -47,6 +47,31 @@ def test_a_coordinator_goes_there_and_comes_back(fleet):
     fleet(story)
 
 
+def test_what_waits_for_a_link_is_older_when_it_leaves(fleet):
+    program = (
+        ECHO
+        + """
+coordinator Visitor {
+    init(string[] arg) {
+        findEcho("far").say("at last");
+        print("lived " + f2s(lived()));
+    }
+}
+"""
+    )
+
+    async def story(team):
+        mission = team.mission(program, TWO_HOSTS)
+        (alpha,) = await team.up(mission, "alpha")
+        await asyncio.sleep(5.0)
+        (bravo,) = await team.up(mission, "bravo")
+        assert await team.ended("visitor") == "done"
+        (line,) = (line for line in (alpha.log + bravo.log).splitlines() if "lived" in line)
+        assert 4.0 < float(line.split()[-1]) < 8.0
+
+    fleet(story)
+
+
 def test_agents_on_one_host_need_no_messages(fleet):
     async def story(team):
         deployment = "//Echo:near@alpha\n//Echo:far@alpha\n//Visitor:visitor@alpha?near&far\n"

@@ -26,7 +26,6 @@ TABLES: dict[str, str] = {
 }
 #: Shorter than others, each one idea that nothing else is about.
 SMALL = {
-    "lfield/host/inits.py": "who waits for an init",
     "lfield/host/team/absent.py": "whom nobody waits for",
     "lfield/text/visible.py": "what may reach a terminal",
     "lfield/wire/fields.py": "types of fields, a table",

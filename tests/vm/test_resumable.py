@@ -67,5 +67,6 @@ def run(slice_length: int, monkeypatch: pytest.MonkeyPatch, collecting: bool) ->
 @pytest.mark.parametrize("collecting", [False, True])
 @pytest.mark.parametrize("slice_length", [1, 2, 3, 17, 100_000])
 def test_output_is_the_same(slice_length: int, collecting: bool, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(machine_module, "ROUND", 1 if collecting else 200)
+    for name in ("ROUND", "TURNS"):
+        monkeypatch.setattr(machine_module, name, 1 if collecting else 200)
     assert run(slice_length, monkeypatch, collecting) == ["index 3 of an array of length 3", "365"]

@@ -43,6 +43,23 @@ def test_any_bytes_give_frames_or_a_wire_error(stream, size):
         cut(decoder, *(stream[start : start + size] for start in range(0, len(stream), size)))
 
 
+@REPEATABLE
+@given(
+    st.one_of(st.binary(max_size=40), st.builds(frame, st.integers(0, 3), st.binary(max_size=200))),
+    st.sampled_from([b"", b"\0", frame(1, b"abc")[:-1]]),
+)
+def test_a_whole_frame_is_what_feeding_it_gives_and_nothing_else_is_whole(stream, before):
+    decoder, other = FrameDecoder(LIMITS), FrameDecoder(LIMITS)
+    assert cut(decoder, before) == cut(other, before) == []
+    found = decoder.whole(stream)
+    assert decoder.unfinished == other.unfinished
+    if found is not None:
+        assert cut(other, stream) == [(found[0], bytes(found[1]))]
+    else:
+        with suppress(WireError):
+            assert len(cut(other, stream)) != 1 or before or other.unfinished or len(stream) < HEADER_SIZE
+
+
 def test_a_whole_frame_is_not_copied():
     stream = frame(1, b"abc")
     (found,) = FrameDecoder(LIMITS).feed(stream)

@@ -22,6 +22,10 @@ class Absent:
         self._nearby, self._hearsay, self._clock = nearby, hearsay, clock
         self._unreachable_after = unreachable_after
 
+    def is_linked(self, host: str) -> bool:
+        """Whether a host can be talked to: then it is neither away nor lost."""
+        return self._hearsay.is_linked(host)
+
     def away(self, host: str) -> float:
         """For how many seconds a host that was linked has not been; 0 for one that was never met, or is."""
         return 0.0 if self._nearby.last_heard(host) is None else self._missing(host)

@@ -148,10 +148,13 @@ class BegunPages:
 
     def look(self) -> None:
         """Cancel what was begun by starts that are over, and remove what nobody will fetch."""
+        begun_calls = self._machine.begun_calls()
+        if not (begun_calls or self._pages or self._fetched or self._let_go):
+            return
         for start in list(self._fetched):
             if self._team.mobility.is_sent(*start):
                 self._forget(self._fetched.pop(start))
-        calls = {call.key for call in self._machine.begun_calls()}
+        calls = {call.key for call in begun_calls}
         failed = [key for key in self._let_go if key not in calls and not self._pages[key][0].outcome]
         self._let_go.clear()
         self._forget(failed)

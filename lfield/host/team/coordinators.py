@@ -82,6 +82,8 @@ class Coordinators:
         self._answers: list[tuple[str, mobile.Send]] = []
         #: Coordinators that came before the resources here were started; None once they are.
         self._early: dict[tuple[str, int], tuple[str, Transfer, memoryview]] | None = {}
+        #: The block that was packed just now, to leave at once if there is a link.
+        self._packed: memoryview | None = None
         #: Where each coordinator was last sent.
         self._sent_to: dict[str, str] = {}
         #: When mobility may have something to give up. A new deadline is later than those before, so one that
@@ -210,19 +212,20 @@ class Coordinators:
         self.carry_out(effects)
         return bool(effects)
 
-    def depart(self, agent: Agent, resource: Member, absent: Absent) -> None:
-        """A frozen coordinator wants to the host of a resource. It waits for nobody who is lost.
-
-        But for what it has begun there it waits as long as ever: that may be there yet.
+    def depart(self, agent: Agent, resource: Member, absent: Absent | None) -> None:
+        """A frozen coordinator wants to the host of a resource: linked, unless it may be `absent`. It waits
+        for nobody who is lost, but for what it has begun there as long as ever: that may be there yet.
         """
-        if self._stays(agent):
+        if self.trouble and self._stays(agent):
             return
-        target, fetches = self._mission.team.hosts[resource.host], self._machine.fetches(agent)
-        if not fetches and (why := absent.lost(target)):
-            self._resume(agent, UNREACHABLE, why)
-            return
-        since = self._clock.monotonic() - (0.0 if fetches else absent.away(target))
+        target, since = self._mission.team.hosts[resource.host], self._clock.monotonic()
+        if absent is not None and not self._machine.fetches(agent):
+            if why := absent.lost(target):
+                self._resume(agent, UNREACHABLE, why)
+                return
+            since -= absent.away(target)
         self.carry_out(self.mobility.depart(agent.id, target, self._sealer(agent), since))
+        self._packed = None
         if self._due is None:
             self._due = self.mobility.next_deadline()
 
@@ -261,12 +264,12 @@ class Coordinators:
         self.carry_out(self.mobility.ended(agent.id, agent.generation, outcome, agent.report))
 
     def _sealer(self, agent: Agent) -> Callable[[int], Buffer]:
-        image = self._machine.pack(agent)
+        image = self._packed = self._machine.pack(agent)
 
         def seal(sequence: int) -> Buffer:
             agent.block.w[layout.W_SEQUENCE] = sequence
-            # It may have waited for long since it was packed, and its time limits go on.
-            self._machine.note_clock(agent)
+            if self._packed is not image:  # It has waited since then, and its time limits go on.
+                self._machine.note_clock(agent)
             return image
 
         return seal
@@ -281,15 +284,11 @@ class Coordinators:
         if member is None:
             return mobile.Refusal(UNREACHABLE, f"{self._own.host} knows no coordinator {header.agent}")
         try:
-            self._admit(member, block)
+            self._machine.admit(member, memoryview(block), self._mission.bindings.limits(member.id))
         except BlockError as error:
             self.say(f"refused {header.agent}: {error}")
             return mobile.Refusal(UNREACHABLE, f"{self._own.host} refused the coordinator: {error}")
         return None
-
-    def _admit(self, member: Member, block: Buffer) -> Agent:
-        limits = self._mission.bindings.limits(member.id)
-        return self._machine.admit(member, memoryview(block), limits)
 
     def _put(self, copy: Copy, *, runs: bool) -> Callable[[int], Buffer] | None:
         """Have a coordinator that was kept in the machine again."""
@@ -310,6 +309,7 @@ class Coordinators:
         recovered = agent.block.w[layout.W_GENERATION] != copy.generation
         agent.block.w[layout.W_HOPS], agent.block.w[layout.W_GENERATION] = copy.hops, copy.generation
         seal = self._sealer(agent)
+        self._packed = None
         if runs:
             self.say(f"{copy.agent} goes on where it was kept")
         if runs and not recovered and self._machine.goes_on(agent):
@@ -340,17 +340,17 @@ class Coordinators:
             case mobile.SendTransfer():
                 self._sent_to[effect.header.agent] = effect.host
                 self._out(effect)
+            case mobile.Go():
+                self._saving.discard(effect.agent)
+                if agent := self._held(effect.agent, effect.generation):
+                    agent.kept = True
+                    self._machine.go(agent)
             case mobile.Send(message=Accepted() as message):
                 self._answers.append((message.agent, effect))
             case mobile.Send():
                 self._out(effect)
             case mobile.Began():
                 self._start(effect.agent, effect.generation)
-            case mobile.Go():
-                self._saving.discard(effect.agent)
-                if agent := self._held(effect.agent, effect.generation):
-                    agent.kept = True
-                    self._machine.go(agent)
             case mobile.Departed():
                 if agent := self._held(effect.agent, effect.generation):
                     self._machine.release(agent)

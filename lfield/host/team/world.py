@@ -106,8 +106,11 @@ class HostWorld:
 
     def depart(self, agent: Agent, resource: Member) -> None:
         """A frozen coordinator wants to the host of a resource."""
-        self._reach(self._team.hosts[resource.host])
-        self._coordinators.depart(agent, resource, self._absent)
+        host = self._team.hosts[resource.host]
+        linked = self._absent.is_linked(host)
+        if not linked:
+            self._reach(host)
+        self._coordinators.depart(agent, resource, None if linked else self._absent)
         self._begun.leaves(agent)
 
     def device(

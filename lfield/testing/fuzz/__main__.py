@@ -136,7 +136,7 @@ def main(words: list[str]) -> int:
     parser.add_argument("--seed", type=int, default=1, help="the first one; the next programs have the next")
     parser.add_argument("--mutants", type=int, default=4, help="of each program")
     parser.add_argument("--seconds", type=float, default=1e9, help="stop after so many")
-    parser.add_argument("--engine", default="lfield.vm.wasm.engine:Engine", help="what is compared")
+    parser.add_argument("--engine", default="lfield.vm.wasm.engine:Eager", help="what is compared")
     parser.add_argument("--most", type=int, default=5, help="stop after so many differences")
     args = parser.parse_args(words)
     fuzz = Fuzz(engine_named(args.engine), args.mutants)

@@ -154,14 +154,14 @@ class Soundness:
         data = self._space.room(max(size, 8 * words))
         data[:size] = image
         block = Block(data, size // 8, limit, self._space)
-        w = block.w
-        if bytes(block.data[8 * layout.W_PROGRAM : 8 * layout.W_PROGRAM + 32]) != self.program.digest:
+        w, heap = block.w, block.heap
+        if image[8 * layout.W_PROGRAM : 8 * layout.W_PROGRAM + 32] != self.program.digest:
             raise BlockError("it belongs to another program", word=layout.W_PROGRAM)
-        if w[layout.W_TOP] != size // 8 or block.top < block.heap:
+        if w[layout.W_TOP] != size // 8 or block.top < heap:
             raise BlockError("its size is not what it says", word=layout.W_TOP)
         if not 0 <= block.interval <= layout.MOST_INTERVAL / 1000:
             raise BlockError("its heartbeat interval is not sound", word=layout.W_INTERVAL)
-        if block.heap > layout.W_TICKETS and not (
+        if heap > layout.W_TICKETS and not (
             0 <= w[layout.W_CLOCK] < COUNT_LIMIT and 0 <= w[layout.W_TICKETS] < COUNT_LIMIT
         ):
             raise BlockError("its clock is not sound", word=layout.W_CLOCK)

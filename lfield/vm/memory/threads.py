@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from array import array
 from collections.abc import Iterator
 
 from lfield.vm.memory import layout
 from lfield.vm.memory.block import Block
 from lfield.vm.memory.layout import (
     FRAME,
+    FRAME_CALLER,
     FRAME_DEPTH,
     FRAME_SLOTS,
     THREAD,
@@ -18,25 +20,36 @@ from lfield.vm.memory.layout import (
     THREAD_PC,
     THREAD_STATE,
     THREAD_WORDS,
+    header,
 )
 
 
-def new_thread(block: Block, method: int, frame_words: int, entry: int, words: list[int], call: int) -> int:
-    """A ready thread that will run a method on the words given (the object first); returns its id.
+def thread_template(method: int, frame_words: int, entry: int) -> memoryview[int]:
+    """A thread that will run a method from an instruction on, and its frame before it, for `new_thread`."""
+    words = array("q", bytes(8 * (frame_words + THREAD_WORDS)))
+    words[0] = header(FRAME, method, frame_words)
+    words[FRAME_DEPTH] = 1
+    words[frame_words] = header(THREAD, 0, THREAD_WORDS)
+    words[frame_words + THREAD_PC] = entry
+    return memoryview(words)
 
-    Raises Full before the thread is in the list.
+
+def new_thread(block: Block, template: memoryview[int], words: list[int], call: int) -> int:
+    """A ready thread made by a template, to run on the words given (the object first); returns its id.
+
+    Raises Full before anything is written.
     """
-    frame = block.allocate(FRAME, method, frame_words)
-    place = block.allocate(THREAD, 0, THREAD_WORDS)
+    frame = block.stamp(template)
     w = block.w
-    w[frame + FRAME_DEPTH] = 1
-    for i, word in enumerate(words, frame + FRAME_SLOTS):
-        w[i] = word
-    identity = w[layout.W_NEXT_THREAD]
+    place = frame + (w[frame] >> 32)
+    slot = frame + FRAME_SLOTS
+    for word in words:
+        w[slot] = word
+        slot += 1
+    identity: int = w[layout.W_NEXT_THREAD]
     w[layout.W_NEXT_THREAD] = identity + 1
     w[place + THREAD_ID] = identity
     w[place + THREAD_FRAME] = frame
-    w[place + THREAD_PC] = entry
     w[place + THREAD_CALL] = call
     w[place + THREAD_NEXT] = w[layout.W_THREADS]
     w[layout.W_THREADS] = place
@@ -78,15 +91,25 @@ def serving(block: Block, call: int) -> int:
 
 
 def unlink(block: Block, identity: int) -> None:
-    """Take a thread out of the list; the collector takes the rest."""
+    """Take a thread out of the list. Whatever it has left on the heap is for the collector.
+
+    But where it and its only frame still are what is on the top, as behind a portal that has kept nothing,
+    they are given back at once: such calls cost no garbage.
+    """
     w = block.w
     before = layout.W_THREADS
     place = w[before]
     while place and w[place + THREAD_ID] != identity:
         before = place + THREAD_NEXT
         place = w[before]
-    if place:
-        w[before] = w[place + THREAD_NEXT]
+    if not place:
+        return
+    w[before] = w[place + THREAD_NEXT]
+    if place + THREAD_WORDS != block.top:
+        return
+    frame = w[place + THREAD_FRAME]
+    if frame + (w[frame] >> 32) == place and not w[frame + FRAME_CALLER]:
+        block.top = frame
 
 
 def still_image(block: Block) -> bytes:

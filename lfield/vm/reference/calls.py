@@ -97,11 +97,14 @@ def leave(result: Argument | None, synchronized: bool, destinations: dict[int, i
 
 def outside(arguments: list[Argument], op: int, operand: int, checked: dict[int, str]) -> Step:
     """A head that leaves the engine; `checked` has what arguments must not be null for."""
+    must = tuple(checked.items())
 
     def step(m: Registers) -> int:
         w, slots = m.w, m.slots
-        words = [constant if slot is None else w[slots + slot] for slot, constant in arguments]
-        for number, what in checked.items():
+        words = []
+        for slot, constant in arguments:
+            words.append(constant if slot is None else w[slots + slot])
+        for number, what in must:
             if not words[number]:
                 raise null_use(what)
         m.exit = Outside(op, operand, words)

@@ -38,13 +38,13 @@ class Registers:
     r: memoryview[float]
     frame: int
     slots: int
-    #: The instruction that is being done.
+    #: The instruction that has raised something, then the one to go on at.
     pc: int
     #: The id of the running thread: the owner of a monitor it takes.
     thread: int
     exit: Exit
     #: One for each instruction that may be done yet.
-    instructions: Iterator[int]
+    instructions: Iterator[None]
     limits: Limits
     class_names: list[str]
     #: How many of the first classes are built in.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Container, Mapping, Sequence
+from itertools import repeat
 from operator import length_hint
 
 from lfield.bytecode.program import Program
@@ -35,6 +36,7 @@ class Engine:
         self._registers.now = now
         self._registers.builtins = program.builtins
         self._registers.others = program.others
+        self._registers.class_names = self.prepared.class_names
 
     @property
     def layouts(self) -> Layouts:
@@ -75,54 +77,51 @@ class Engine:
         m = self._registers
         w = block.w
         m.block, m.w, m.r = block, w, block.r
-        m.limits, m.class_names = limits, self.prepared.class_names
-        m.readings, m.asked = readings, False
-        m.frame = w[thread + THREAD_FRAME]
-        m.slots = m.frame + FRAME_SLOTS
+        m.limits, m.readings, m.asked = limits, readings, False
+        m.frame = frame = w[thread + THREAD_FRAME]
+        m.slots = frame + FRAME_SLOTS
         m.thread = w[thread + THREAD_ID]
-        m.pc = w[thread + THREAD_PC]
         m.exit = SPENT
-        m.instructions = iter(range(budget))
+        m.instructions = instructions = repeat(None, budget)
+        steps = self.prepared.steps
+        # The instruction that is done, and the one behind it.
+        at = pc = w[thread + THREAD_PC]
         going = True
         while going:
+            going = False
             try:
-                if stops is None:
-                    self._go(m)
+                if stops is not None:
+                    at = pc = self._go_to(m, pc, stops)
+                    continue
+                for _ in instructions:
+                    at = pc
+                    pc = steps[at](m)
+                    if pc == LEAVE:
+                        break
                 else:
-                    self._go_to(m, stops)
-                going = False
+                    at = pc
             except (Trap, Raised, Full, ValueError, ArithmeticError) as error:
+                m.pc = at if stops is None else m.pc
                 going = self._recover(m, error)
-                if going and stops is not None and m.pc in stops:
+                at = pc = m.pc
+                if going and stops is not None and pc in stops:
                     m.exit, going = STOPPED, False
         w[thread + THREAD_FRAME] = m.frame
-        w[thread + THREAD_PC] = m.pc
+        w[thread + THREAD_PC] = at
         return m.exit
 
-    def _go(self, m: Registers) -> None:
-        """Take steps until one leaves or the instructions are used up; `m.pc` is where it came to."""
+    def _go_to(self, m: Registers, pc: int, stops: Container[int]) -> int:
+        """Take steps until one leaves, comes to a stop, or the instructions are used up; where it came to."""
         steps = self.prepared.steps
-        pc = m.pc
         for _ in m.instructions:
             m.pc = pc
             pc = steps[pc](m)
             if pc == LEAVE:
-                return
-        m.pc = pc
-
-    def _go_to(self, m: Registers, stops: Container[int]) -> None:
-        """As `_go`, but not beyond a stop."""
-        steps = self.prepared.steps
-        pc = m.pc
-        for _ in m.instructions:
-            m.pc = pc
-            pc = steps[pc](m)
-            if pc == LEAVE:
-                return
+                return m.pc
             if pc in stops:
                 m.exit = STOPPED
                 break
-        m.pc = pc
+        return pc
 
     def _recover(self, m: Registers, error: Exception) -> bool:
         """Make an L exception of what a step raised, and go to who catches it; false to leave the engine."""

@@ -49,7 +49,7 @@ def collect(scheduler: Scheduler, agent: Agent, method: int, words: list[int]) -
     _check_target(block, array, index)
     _check_number(block, sentinel)
     call = block.allocate(FRAME, method, scheduler.layouts.frame_words[method])
-    references = scheduler.reference_arguments(method)
+    references = scheduler.reference_arguments[method]
     roots = [arguments[i - 1] for i in references]
     copies = deep_copy(block, roots, block, scheduler.layouts) if references else []
     w = block.w

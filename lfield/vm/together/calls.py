@@ -85,6 +85,8 @@ class BegunCalls:
 
         Its block has ended without it, since this host could not be reached.
         """
+        if not self._scheduler.begun:
+            return
         begun = [call for call in self._of(agent.id) if call.generation == agent.generation]
         waited = under_way(agent.block) if begun else set()
         left = [call for call in begun if call.number not in waited]

@@ -46,6 +46,7 @@ class Figure:
     `base` names the contenders whose fastest is ratio 1. `units` and `targets` are by case or by contender.
     `between` names the contenders by which two checkouts can be compared: those that use commands only.
     `own_rows` makes the rows instead of contenders, where what fails is a part of the figure.
+    `ratios` are who, to whom, and what to reach: a line for each, with the least and the greatest round.
     """
 
     title: str
@@ -57,6 +58,7 @@ class Figure:
     notes: Sequence[str] = ()
     between: Sequence[str] = ()
     own_rows: OwnRows | None = None
+    ratios: Sequence[tuple[str, str, str]] = ()
 
     def unit(self, case: str, name: str) -> str:
         """Of the samples of a contender in a case."""
@@ -84,6 +86,18 @@ def rows_of(figure: Figure, checkout: Checkout, tick: Tick) -> Iterator[Row]:
                 yield Row(shown, name, unit, flat(of_case[case]), ratio, target)
                 shown = ""
     yield from (Row("", name, error=error) for name, error in errors.items())
+    yield from _ratios(figure, samples)
+
+
+def _ratios(figure: Figure, samples: Samples) -> Iterator[Row]:
+    """What the medians of each round are to one another."""
+    for case in _cases(samples):
+        shown = f"{case}: medians of each round"
+        for who, whom, target in figure.ratios:
+            if case in samples.get(who, {}) and case in samples.get(whom, {}):
+                found = pair_ratios(samples[who][case], samples[whom][case])
+                yield Row(shown, f"{who} / {whom}", TIMES, found, target=target)
+                shown = ""
 
 
 def rows_between(figure: Figure, own: Checkout, other: Checkout, sessions: int, tick: Tick) -> Iterator[Row]:

@@ -15,7 +15,7 @@ from lfield.testing.fuzz.programs import random_program
 from lfield.testing.fuzz.trial import tried
 from lfield.testing.golden import compile_text
 from lfield.vm.reference import Engine
-from lfield.vm.wasm.engine import Engine as Wasm
+from lfield.vm.wasm.engine import Eager as Wasm
 
 #: Programs in which a planted fault must be found.
 _SOON = 400

@@ -244,7 +244,8 @@ def test_wherever_it_is_interrupted_the_same_is_asked(
     assert len(expected[0]) == 7
     assert not expected[2]
     monkeypatch.setattr(machine_module, "SLICE", slice_length)
-    monkeypatch.setattr(machine_module, "ROUND", 1 if kind is CollectingReserving else 200)
+    for name in ("ROUND", "TURNS"):
+        monkeypatch.setattr(machine_module, name, 1 if kind is CollectingReserving else 200)
     assert whole(kind(program(LONG))) == expected
 
 

@@ -74,7 +74,8 @@ def test_what_is_said_is_the_same(
     kind: type[Joined], slice_length: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(machine_module, "SLICE", slice_length)
-    monkeypatch.setattr(machine_module, "ROUND", 1 if kind is Collecting else 200)
+    for name in ("ROUND", "TURNS"):
+        monkeypatch.setattr(machine_module, name, 1 if kind is Collecting else 200)
     joined = kind(program(), 3)
     joined.run()
     # The coordinator has spoken on several hosts; each line is said once.

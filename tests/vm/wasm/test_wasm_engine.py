@@ -19,12 +19,13 @@ from lfield.vm.contract import SPENT, Done, Engines, Limits
 from lfield.vm.machine import Machine
 from lfield.vm.memory.block import Block
 from lfield.vm.memory.layout import OBJECT
-from lfield.vm.memory.threads import new_thread, place_of
+from lfield.vm.memory.threads import new_thread, place_of, thread_template
 from lfield.vm.reference import Engine as Reference
 
 wasmtime = pytest.importorskip("wasmtime", reason=NEEDED)
 
-from lfield.vm.wasm.engine import Engine  # noqa: E402
+from lfield.vm.wasm.engine import Eager as Engine  # noqa: E402
+from lfield.vm.wasm.engine import Engine as Patient  # noqa: E402
 
 EXAMPLES = Path(__file__).parents[3] / "examples"
 
@@ -60,7 +61,8 @@ def thread_of(
     block = Block.empty(program.digest, words, engine.space)
     record = program.core.methods[method]
     own = block.allocate(OBJECT, record.owner, engine.layouts.class_words[record.owner])
-    identity = new_thread(block, method, engine.layouts.frame_words[method], record.entry + 1, [own, 0], 0)
+    template = thread_template(method, engine.layouts.frame_words[method], record.entry + 1)
+    identity = new_thread(block, template, [own, 0], 0)
     return block, place_of(block, identity)
 
 
@@ -68,7 +70,7 @@ def thread_of(
 def test_a_budget_ends_at_the_very_same_instruction(budget: int) -> None:
     images = []
     method = next(i for i, m in enumerate(COUNTING.core.methods) if m.name == "init")
-    for engine in (Reference(COUNTING, float), Engine(COUNTING, float)):
+    for engine in (Reference(COUNTING, float), Engine(COUNTING, float), Patient(COUNTING, float)):
         block, thread = thread_of(COUNTING, engine, method)
         seen = []
         for _ in range(20):
@@ -77,7 +79,30 @@ def test_a_budget_ends_at_the_very_same_instruction(budget: int) -> None:
             if leave != SPENT:
                 break
         images.append(seen)
-    assert images[0] == images[1]
+    assert images[0] == images[1] == images[2]
+
+
+def test_what_is_over_in_a_few_instructions_does_not_enter_webassembly(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    program = compile_text(
+        """
+        resource Store { init(string[] arg) { } portal ask(int n) emit int { return n; } }
+        coordinator Clerk {
+          init(string[] arg) {
+            Store store = findStore("store");
+            int sum = 0;
+            for (int i = 0; i < 100; i = i + 1) sum = sum + store.ask(i);
+            print(i2s(sum));
+          }
+        }
+        """
+    )
+    entered = []
+    of_engine = Patient._go_on
+    monkeypatch.setattr(Patient, "_go_on", lambda *given: entered.append(given) or of_engine(*given))
+    desk, _ = machine_of(program, Patient)
+    assert (desk.output, entered) == (["4950"], [])
 
 
 def test_most_of_the_work_is_done_in_webassembly(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,0 +1,149 @@
+"""A hop stage by stage, from the `pcall` on one host to the portal's first instruction on the other.
+
+Both hosts run in this process, on one loop, over TCP of this computer: their clocks are one, and nobody is
+woken by the kernel from sleep, which is what a hop between two processes costs besides (`ONLY=hop`). Nothing
+is kept on disk; what that costs is a line of its own there.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import io
+from collections.abc import Iterator, Mapping
+from itertools import product
+from pathlib import Path
+
+from harness.checkout import Checkout
+from harness.figure import Figure, Row
+from harness.processes import Processes, free_port
+from harness.samples import Tick, median
+from hops.taps import ENDS, READ, Stages, Tap, tapping
+
+from lfield import loop
+from lfield.host.core import HostCore
+from lfield.host.host import Host, Options
+from lfield.host.logbook import Logbook
+from lfield.host.team.world import HostWorld
+from lfield.mission.load import load_mission
+from lfield.mission.mission import Mission
+from lfield.net import framed
+from lfield.net.framed import FramedLink
+from lfield.net.peers import Peers
+from lfield.net.tcp import TcpTransport
+from lfield.vm import machine
+from lfield.vm.machine import Machine
+from lfield.vm.memory.liveness import Liveness
+from lfield.vm.memory.soundness import Soundness
+from lfield.vm.outside import Outsiders
+from lfield.vm.wasm.choice import has_wasm
+
+#: Bytes of live state, on top of the coordinator itself.
+SIZES = (64, 8 << 10)
+HOPS, WARM_UP = 400, 100
+
+ALL, TURNS, BEGINS, REST = "all of it", "the host's turn", "first instruction", "(the rest)"
+
+#: In the order in which they pass.
+TAPS = (
+    Tap("freeze", Outsiders, "carry_out", there=BEGINS),
+    Tap("decide to go", HostWorld, "depart"),
+    Tap("seal", Machine, "pack"),
+    Tap("clear dead", Liveness, "clear_dead"),
+    Tap("collect, copy", machine, "compact"),
+    Tap("write", Peers, "send_transfer", behind=ENDS),
+    Tap("encode", framed, "encode_transfer"),
+    Tap("decode", FramedLink, "received", behind=READ),
+    Tap("decide to take", HostCore, "arrived"),
+    Tap("inject", Machine, "admit"),
+    Tap("check", Soundness, "check"),
+    Tap(TURNS, Host, "arrived"),
+    Tap(TURNS, HostCore, "run"),
+    Tap("run", Machine, "run"),
+)
+ORDER = (*(tap.stage for tap in TAPS[:7]), ENDS, READ, *(tap.stage for tap in TAPS[7:12]), "run", BEGINS)
+
+_PROGRAM = """
+resource Post {
+    init(string[] arg) { }
+    portal visit() { }
+}
+
+coordinator Traveller {
+    int[] load;
+
+    init(string[] arg) {
+        Post near = findPost("near");
+        Post far = findPost("far");
+        load = new int[s2i(arg[1]) / 8];
+        while (true) {
+            far.visit();
+            near.visit();
+        }
+    }
+}
+"""
+
+
+def measured(checkout: Checkout, rounds: int, tick: Tick) -> Iterator[Row]:
+    """The stages of hops of each size, by each engine."""
+    for size, engine in product(SIZES, ("reference", "wasm") if has_wasm() else ("reference",)):
+        case = f"{size} B, {engine} engine"
+        tick(case)
+        with Processes() as processes:
+            hops = loop.run(travel(processes.folder(), size, rounds * HOPS, engine))
+        yield from rows(case, hops)
+
+
+def rows(case: str, hops: list[Mapping[str, float]]) -> Iterator[Row]:
+    """A line for each stage; the ratio is its share of the whole."""
+    whole = [sum(hop.values()) for hop in hops]
+    yield Row(case, ALL, samples=whole)
+    for stage in (*ORDER, ""):
+        samples = [hop.get(stage, 0.0) for hop in hops]
+        share = median(samples) / median(whole)
+        yield Row("", stage or REST, samples=samples, ratio=share)
+
+
+async def travel(folder: Path, size: int, count: int, engine: str) -> list[Mapping[str, float]]:
+    """So many hops of a coordinator with so many bytes of live state, after a warm-up."""
+    (folder / "mission.L").write_text(_PROGRAM, encoding="utf-8")
+    deploy = folder / "mission.dL"
+    deploy.write_text(f"//Post:near@a\n//Post:far@b\n//Traveller:traveller@a?{size}\n", encoding="utf-8")
+    mission = load_mission(deploy, maps=[f"{host}=127.0.0.1:{free_port()}" for host in "ab"])
+    stages = Stages()
+    with tapping(stages, TAPS):
+        hosts = [_host(mission, host, engine) for host in "ab"]
+        try:
+            await asyncio.gather(*(host.start() for host in hosts))
+            while len(stages.hops) < WARM_UP + count:
+                _look(hosts)
+                await asyncio.sleep(0.05)
+        finally:
+            for host in hosts:
+                await host.stop()
+    return [*stages.hops[WARM_UP : WARM_UP + count]]
+
+
+def _host(mission: Mission, name: str, engine: str) -> Host:
+    options = Options(mission.team.addresses[mission.team.number(name)], engine=engine)
+    transport = TcpTransport(mission.max_block)
+    return Host(mission, name, transport, Logbook(io.StringIO(), io.StringIO()), options)
+
+
+def _look(hosts: list[Host]) -> None:
+    for host in hosts:
+        if host.failure is not None:
+            raise RuntimeError(str(host.failure))
+
+
+FIGURE = Figure(
+    "A hop stage by stage, both hosts in one process; ratio: the share of the whole",
+    {},
+    rounds=10,
+    own_rows=measured,
+    notes=(
+        f"rounds of {HOPS} hops; every stage is what it takes itself, and half a tap (about 0.3 µs)",
+        "freeze: since the exit of the engine; run: until the pcall is there again; "
+        "first instruction: until the portal can begin",
+    ),
+)

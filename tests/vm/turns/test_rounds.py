@@ -1,0 +1,108 @@
+"""A round of the machine: how much it does before its host looks at the world; what a portal call leaves."""
+
+from __future__ import annotations
+
+import random
+
+import pytest
+
+from lfield.clock import ManualClock
+from lfield.testing.golden import Desk, compile_text, settle
+from lfield.vm.agent import Member
+from lfield.vm.contract import Limits
+from lfield.vm.machine import ROUND, SLICE, TURNS, Machine
+from lfield.vm.memory.collector import collect
+from lfield.vm.memory.layout import W_SELF
+
+TEAM = [Member(0, "store", "Store", "resource", 0), Member(1, "clerk", "Clerk", "coordinator", 0)]
+PROGRAM = """
+class Box { public int[] kept; public Box next; }
+resource Store {
+  Box last; int count;
+  init(string[] arg) { }
+  portal ask() emit int { return count; }
+  portal bump(int by) emit int { int[] spent = new int[by]; count = count + spent.length(); return count; }
+  portal keep(int n) emit int {
+    Box box = new Box(); box.kept = new int[n]; box.kept[0] = count; box.next = last; last = box;
+    count = count + 1;
+    return count;
+  }
+  portal fail() { throw new Exception("no"); }
+}
+coordinator Clerk {
+  Store store;
+  init(string[] arg) { store = findStore("store"); %s }
+}
+"""
+
+
+def machine(body: str, desk: Desk | None = None) -> Machine:
+    """A store and its clerk, who has not begun."""
+    program = compile_text(PROGRAM % body)
+    made = Machine(program, TEAM, 0, 1, desk or Desk(), ManualClock(), random.Random(1))
+    for member in TEAM:
+        made.start(member, Limits(), generation=1)
+    return made
+
+
+@pytest.mark.parametrize(
+    ("body", "least", "most"),
+    [
+        ("while (true) store.ask();", 0, ROUND * SLICE // 10),
+        ("int i = 0; while (true) i = i + 1;", (ROUND - 1) * SLICE, ROUND * SLICE),
+    ],
+    ids=["turns", "instructions"],
+)
+def test_a_round_is_over_after_so_many_turns_or_instructions(body: str, least: int, most: int) -> None:
+    made, used = machine(body), []
+    made.attached.meter = used.append
+    made.run()
+    used.clear()
+    assert made.run() == 0.0
+    assert len(used) <= TURNS
+    assert least <= sum(used) <= most
+
+
+def test_whoever_is_ready_has_a_turn_in_a_round_of_calls() -> None:
+    made, turns = machine("while (true) store.ask();"), []
+    made.run()
+    made.attached.meter = turns.append
+    made.run()
+    assert len(turns) == TURNS
+
+
+def test_portals_that_keep_nothing_cost_no_garbage() -> None:
+    tops = []
+    for calls in (1, 1000):
+        made = machine(f"for (int i = 0; i < {calls}; i = i + 1) store.ask();")
+        settle(made, ManualClock())
+        assert made.agents["store"].served == calls
+        tops.append(made.agents["store"].block.top)
+    assert tops[0] == tops[1]
+
+
+def test_what_portals_keep_stays_and_what_they_spend_is_collected() -> None:
+    body = """
+      int sum = 0;
+      for (int i = 1; i < 60; i = i + 1) {
+        sum = sum + store.keep(i) + store.bump(i);
+        try { store.fail(); } catch (Exception e) { sum = sum + 1; }
+      }
+      print(i2s(sum));
+    """
+    desk = Desk()
+    made = machine(body, desk)
+    expected = count = 0
+    for i in range(1, 60):
+        expected += (count + 1) + (count + 1 + i) + 1
+        count += 1 + i
+    settle(made, ManualClock())
+    store = made.agents["store"]
+    assert (store.served, desk.output) == (3 * 59, [str(expected)])
+    collect(store.block, made.layouts)
+    kept, w = [], store.block.w
+    box = w[w[W_SELF] + 1]
+    while box:
+        kept.append((w[w[box + 1]] >> 32) - 1)
+        box = w[box + 2]
+    assert kept == list(range(59, 0, -1))
