@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -102,47 +101,29 @@ def test_of_golden_programs_too():
     assert compared > 1000
 
 
-def _steps(work: Callable[[], object]) -> int:
-    """The lines of Python that it takes: what a clock would say, but the same every time."""
-    count = 0
-
-    def line(frame, event, argument):
-        nonlocal count
-        count += event == "line"
-        return line
-
-    before = sys.gettrace()
-    sys.settrace(line)
-    try:
-        work()
-    finally:
-        sys.settrace(before)
-    return count
-
-
 @pytest.mark.parametrize("shape", SHAPES)
-def test_code_that_is_ten_times_as_long_takes_ten_times_as_long(shape):
+def test_code_that_is_ten_times_as_long_takes_ten_times_as_long(shape, steps):
     short, long = (_boss(SHAPES[shape](n)) for n in (30, 300))
-    few, many = (_steps(lambda p=p: LiveSlots(p, _longest(p))) for p in (short, long))
+    few, many = (steps(lambda p=p: LiveSlots(p, _longest(p))) for p in (short, long))
     assert many < 12 * few
 
 
-def test_code_that_runs_against_its_order_does_too():
+def test_code_that_runs_against_its_order_does_too(steps):
     def against(count: int) -> Callable[[], object]:
         nodes = [Node(1, ()), *(Node(0, (Edge(i, -1),)) for i in range(count))]
         return lambda: solve(nodes)
 
-    assert _steps(against(3000)) < 12 * _steps(against(300))
-    assert _steps(lambda: solve([*(Node(0, (Edge(i + 1, -1),)) for i in range(300)), Node(1, ())])) < 12000
+    assert steps(against(3000)) < 12 * steps(against(300))
+    assert steps(lambda: solve([*(Node(0, (Edge(i + 1, -1),)) for i in range(300)), Node(1, ())])) < 12000
 
 
-def test_nested_loops_are_gone_through_once_for_each():
+def test_nested_loops_are_gone_through_once_for_each(steps):
     def nested(depth: int) -> list[Node]:
         heads = [Node(0, (Edge(i + 1, -1), Edge(max(0, i - 1), -1))) for i in range(depth)]
         return [*heads, Node(1 << 5, (Edge(0, -1),))]
 
     assert solve(nested(40)) == [1 << 5] * 41
-    assert _steps(lambda: solve(nested(400))) < 12 * _steps(lambda: solve(nested(40)))
+    assert steps(lambda: solve(nested(400))) < 12 * steps(lambda: solve(nested(40)))
 
 
 def test_what_an_edge_does_not_let_through_stays_behind():
