@@ -17,6 +17,7 @@ FIGURES = {
     "start": "machine.start",
     "memory": "machine.memory",
     "idle": "machine.idle",
+    "compiler": "machine.compiler",
     "compile": "machine.compile",
     "telemetry": "guards.telemetry",
     "mavlink": "guards.mavlink",
