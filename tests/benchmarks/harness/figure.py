@@ -108,7 +108,7 @@ def _growths(figure: Figure, samples: Samples) -> Iterator[Row]:
     for one in series(samples, figure.sizes):
         if grown := tenfold(one.points):
             case = f"{GROWTH}: {one.case}" if one.case else GROWTH
-            target = figure.target(case, one.name)
+            target = figure.targets.get(f"{one.name}: {case}") or figure.targets.get(case, "")
             yield Row(case if case != shown else "", one.name, TIMES, grown, target=target)
             shown = case
 

@@ -1,4 +1,4 @@
-"""How a cost grows with the size of what it is for: per ten times as much, by all sizes that were measured."""
+"""How a cost grows with the size of what it is for: per ten times as much, by all sizes that were taken."""
 
 from __future__ import annotations
 

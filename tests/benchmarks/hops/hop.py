@@ -80,6 +80,7 @@ FIGURE = Figure(
     },
     base=("Pyro5, method call", "RPyC, method call", "gRPC, method call"),
     rounds=8,
+    sizes={f"{count} B": count for count in SIZES},
     targets={"lfield: a hop": "1.00x"},
     notes=(f"rounds of {CALLS} calls; a portal call is one hop, a method call goes and returns",),
     between=("lfield: a hop",),

@@ -1,7 +1,7 @@
 """How long it takes from a text of L to its program, and how that grows with the text; in one process.
 
-What a command adds to that is in the figure `compile`. The trees that are left over lead to each other: Python's
-collector takes them away later, which is counted by itself.
+What a command adds to that is in the figure `compile`. The trees that are left over lead to each other:
+Python's collector takes them away later, which is counted by itself.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """The engines' speed: run time of the same ten programs in L, in CPython, and in what else the machine has.
 
-The programs are of the kind of chapter III. Every engine that a host can choose is measured, a compiler of C and
-a machine of JavaScript if they are installed; each compares what it calculates with what CPython gives.
+The programs are of the kind of chapter III. Every engine that a host can choose is measured, C and JavaScript
+where they are installed; each compares what it calculates with what CPython gives.
 """
 
 from __future__ import annotations
@@ -84,8 +84,6 @@ FIGURE = Figure(
         "lfield, wasm: fib": "0.25x",
         f"lfield, wasm: {MEAN}": "0.20x",
     },
-    notes=(
-        f"a sample is the mean of {LONG * 1e3:g} ms of runs; in C an exception is a status, and memory is freed",
-    ),
+    notes=(f"a sample is the mean over {LONG * 1e3:g} ms; in C exceptions are statuses and memory is freed",),
     between=tuple(_engines()),
 )
