@@ -102,7 +102,9 @@ def test_a_growth_is_that_of_all_sizes_in_each_round():
         return lambda: {f"{n} cats": [5.0 / n] for n in (1, 10, 100)}
 
     sizes = {f"{n} cats": n for n in (1, 10, 100)}
-    figure = Figure("", {"a": squares, "b": halves}, rounds=2, sizes=sizes, targets={"a": "10x"})
+    figure = Figure(
+        "", {"a": squares, "b": halves}, rounds=2, sizes=sizes, targets={"a: ten times the size": "10x"}
+    )
     *rows, a, b = rows_of(figure, HERE, silent)
     assert [row.size for row in rows] == [1, 1, 10, 10, 100, 100]
     assert (a.case, a.measured, a.unit, a.target) == ("ten times the size", "a", TIMES, "10x")
