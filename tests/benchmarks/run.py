@@ -48,6 +48,7 @@ PICTURED = {
     "compiler": Pictured("From L to a program, processor time", "lines"),
     "collector": Pictured("Pause of the collector", "bytes alive"),
     "agreement": Pictured("Messages until all agree", "resources"),
+    "together": Pictured("All work for 0.1 s", "resources", cost="seconds"),
 }
 
 if __name__ == "__main__":

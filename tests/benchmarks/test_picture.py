@@ -51,6 +51,13 @@ def test_only_the_contenders_that_are_wanted():
     assert list(field.lines) == ["b <&>"]
 
 
+def test_one_cost_of_a_figure_that_has_several():
+    rows = [*ROWS_OF_CATS, row("1 cat: asleep", "a", 1)]
+    (field,) = fields_of(rows, {"cats": Pictured("cats", "many", cost="asleep")})
+    assert [point.size for point in field.lines["a"]] == [1, 10]
+    assert field.growths == {"a": 2e-3}
+
+
 def _numbers(path):
     return [tuple(map(float, place.split())) for place in path.get("d")[1:].split("L")]
 

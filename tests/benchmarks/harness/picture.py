@@ -32,11 +32,15 @@ class Point(NamedTuple):
 
 
 class Pictured(NamedTuple):
-    """A figure to draw: its title there, what its sizes are, and what names of its contenders must have."""
+    """A figure to draw: its title there, what its sizes are, and what names of its contenders must have.
+
+    Where a figure has several costs, `cost` is the one to draw: what its cases say behind a colon.
+    """
 
     title: str
     over: str
     lines: str = ""
+    cost: str = ""
 
 
 class Field(NamedTuple):
@@ -74,10 +78,7 @@ def caption(about: Mapping[str, str]) -> str:
 
 
 def fields_of(rows: Sequence[Mapping[str, Any]], pictured: Mapping[str, Pictured]) -> list[Field]:
-    """What can be drawn of saved rows.
-
-    What a row's case says behind a colon is another cost of the same figure, and is left out.
-    """
+    """What can be drawn of saved rows."""
     found = []
     for name, chosen in pictured.items():
         of_figure = [row for row in rows if row["figure"] == name and _is_pictured(row, chosen)]
@@ -86,7 +87,7 @@ def fields_of(rows: Sequence[Mapping[str, Any]], pictured: Mapping[str, Pictured
         for row in sized:
             point = Point(row["size"], row["min"], row["median"], row["max"])
             lines.setdefault(row["measured"], []).append(point)
-        growths = {row["measured"]: row["median"] for row in of_figure if row["case"] == GROWTH}
+        growths = {row["measured"]: row["median"] for row in of_figure if row["case"].startswith(GROWTH)}
         kept = {line: sorted(points) for line, points in lines.items() if len(points) > 1}
         if kept:
             found.append(Field(chosen.title, chosen.over, sized[0]["unit"], kept, growths))
@@ -94,7 +95,8 @@ def fields_of(rows: Sequence[Mapping[str, Any]], pictured: Mapping[str, Pictured
 
 
 def _is_pictured(row: Mapping[str, Any], chosen: Pictured) -> bool:
-    return not row["error"] and ": " not in row["case"] and chosen.lines in row["measured"]
+    cost = row["case"].partition(": ")[2]
+    return not row["error"] and cost == chosen.cost and chosen.lines in row["measured"]
 
 
 class _Axis:
