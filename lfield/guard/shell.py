@@ -150,7 +150,8 @@ class Shell(asyncio.Protocol):
         if self._output.is_closing():
             yield
             return
-        self._held = held = []
+        held: list[bytes] = []
+        self._held = held
         try:
             yield
         finally:
