@@ -7,9 +7,9 @@ from dataclasses import dataclass, field
 from functools import partial
 
 from harness.checkout import Checkout
-from harness.growth import series, tenfold
 from harness.processes import Processes
 from harness.samples import Contender, Samples, Tick, flat, in_turns, median, pair_ratios, percentile
+from harness.tenfold import series, tenfold
 from harness.words import SECONDS, TIMES
 
 #: Makes a contender of a checkout ready; what it starts ends with `Processes`.
