@@ -8,7 +8,7 @@ this reader against that of the language. It is one of its own since robots read
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TypeVar
@@ -44,6 +44,8 @@ _PRECEDENCE: Mapping[str, int] = {
     **dict.fromkeys(("+", "-"), 5),
     **dict.fromkeys(("*", "/", "%"), 6),
 }
+#: Those of which a chain means the same however it is grouped, in three-valued logic too.
+_CHAINED = ("||", "&&")
 #: Operators of other languages, and what to write instead.
 _INSTEAD = {
     "===": "write ==",
@@ -139,10 +141,13 @@ class _Parser:
         )
 
     def _sees_limit(self) -> bool:
-        following = self._tokens[min(self._at + 1, len(self._tokens) - 1)]
-        return (
-            self._next.kind == "name" and self._next.text == "limit" and following.kind in ("number", "end")
-        )
+        """Whether there is a limit, right or wrong: a number below 0, too, which would be a difference."""
+        if self._next.kind != "name" or self._next.text != "limit":
+            return False
+        behind = self._tokens[self._at + 1 :]
+        if behind[0].text == "-":
+            return [token.kind for token in behind[1:]] == ["number", "end"]
+        return behind[0].kind in ("number", "end")
 
     def _descends(self) -> bool:
         found = self._next.kind == "name" and self._next.text
@@ -221,13 +226,17 @@ class _Parser:
         """Operators of at least this precedence."""
         left = self._unary()
         while self._next.kind == "symbol" and (strength := _PRECEDENCE.get(self._next.text, 0)) >= weakest:
-            sign = self._advance()
-            with self._nested():
-                right = self._binary(strength + 1)
-            height = 1 + max(left.height, right.height)
-            span = left.span.to(right.span)
-            left = self._bounded(Binary(span, height, sign.text, sign.span, left, right))
+            operands, signs = [left], [self._advance()]
+            operands.append(self._operand(strength + 1))
+            while signs[0].text in _CHAINED and self._sees(signs[0].text):
+                signs.append(self._advance())
+                operands.append(self._operand(strength + 1))
+            left = self._bounded(_chain(operands, signs))
         return left
+
+    def _operand(self, weakest: int) -> Expr:
+        with self._nested():
+            return self._binary(weakest)
 
     def _unary(self) -> Expr:
         if self._sees("-") and self._tokens[self._at + 1].kind == "number":
@@ -304,6 +313,17 @@ class _Parser:
                 self._close(")", token)
                 return inner
         raise Stop(token.span, f"expected an expression, found {token}")
+
+
+def _chain(operands: Sequence[Expr], signs: Sequence[Token]) -> Expr:
+    """What stands between signs of one kind, as low a tree as can be: a long chain is no nesting."""
+    if len(operands) == 1:
+        return operands[0]
+    middle = len(operands) // 2
+    left, right = _chain(operands[:middle], signs[: middle - 1]), _chain(operands[middle:], signs[middle:])
+    sign = signs[middle - 1]
+    height = 1 + max(left.height, right.height)
+    return Binary(left.span.to(right.span), height, sign.text, sign.span, left, right)
 
 
 def _number(token: Token, minus: Token | None) -> Expr:

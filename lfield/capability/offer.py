@@ -46,13 +46,14 @@ class Fact(Struct, frozen=True, gc=False):
 Place = tuple[float, float, float | None]
 
 
-class Candidate(Struct, frozen=True):
+class Candidate(Struct, frozen=True, gc=False):
     """An agent of a resource type as this host knows it now.
 
-    `facts` are its own values and its live ones by attribute; those of its type and of the primitive are the
-    registry's. `hops` is 0 when it is on this host, else 1. `refusal` says why it cannot be called at all
-    (`unreachable for 12 s`), '' when it can. `unknown` tells of single live attributes why there is no value
-    (`fc has not reported battery`). `number` is its place in the deployment.
+    `facts` are what its host has told, by attribute, and `stated` what the mission says of it, which counts
+    before; what its type and the primitive say is the registry's. `hops` is 0 when it is on this host, else
+    1. `refusal` says why it cannot be called at all (`unreachable for 12 s`), '' when it can. `unknown` tells
+    of single live attributes why there is no value (`fc has not reported battery`). `number` is its place in
+    the deployment.
     """
 
     agent: str
@@ -63,6 +64,11 @@ class Candidate(Struct, frozen=True):
     facts: Mapping[str, Fact] = {}
     unknown: Mapping[str, str] = {}
     number: int = 0
+    stated: Mapping[str, Fact] = {}
+
+    def fact(self, name: str) -> Fact | None:
+        """What is known of an attribute, whatever its type says."""
+        return self.stated.get(name) or self.facts.get(name)
 
 
 class Team(Protocol):

@@ -88,7 +88,7 @@ class Answers:
             raise ConstraintError(f"a team of {size}", ["a team has one member at least"])
         answer = self._matcher.teams(capability, size, self._compiled(constraint))
         note = "; ".join(answer.notes)
-        if note and not answer.teams:
+        if note and not answer.teams and size <= len(self._numbers):
             raise SearchGivenUp(f"no team of {size} was found for {capability}, but {note}")
         return [[found(offer, self._numbers, answer.agents, note) for offer in team] for team in answer.teams]
 

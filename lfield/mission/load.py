@@ -232,16 +232,20 @@ def _settled(registry: Registry, program: Program, plugins: Plugins, hollow: Col
     What we ship may not fit a resource of the program that only has the name of ours: then it does not count.
     No device tells anything of `hollow` types.
     """
-    devices = {
+    found = Diagnostics()
+    settled = settle_live(registry, _devices(program, hollow), plugins.device_types, found)
+    if wrong := [mistake for mistake in found.errors if not is_shipped(mistake)]:
+        raise ProgramError(wrong)
+    return settled
+
+
+def _devices(program: Program, hollow: Collection[str]) -> dict[str, dict[str, str]]:
+    """The devices of each resource type, by their fields."""
+    return {
         record.name: {field.name: field.type for field in record.devices}
         for record in program.core.classes
         if record.name not in hollow
     }
-    found = Diagnostics()
-    settled = settle_live(registry, devices, plugins.device_types, found)
-    if wrong := [mistake for mistake in found.errors if not is_shipped(mistake)]:
-        raise ProgramError(wrong)
-    return settled
 
 
 def agents_of(deploy: Path) -> list[str] | None:
@@ -311,8 +315,9 @@ def compile_file(
         resources = [name for name, kind in program.units.items() if kind == "resource"]
         check_types(capabilities.registry, capabilities.own, resources, known.find_source, found)
         check_questions(capabilities.registry, program, found)
-        if found.errors:
-            raise ProgramError([*checked.diagnostics, *found.in_order()])
+        settle_live(capabilities.registry, _devices(program, doubled), known.device_types, found)
+        if mistakes := [mistake for mistake in found.in_order() if not is_shipped(mistake)]:
+            raise ProgramError([*checked.diagnostics, *mistakes])
     return program, checked.diagnostics
 
 
@@ -324,15 +329,20 @@ def mission_problems(deploy: Path) -> list[Finding]:
     program = beside(deploy, ".L")
     if program is None:
         return []
+    found: list[Finding] = []
+    bound = Bindings()
     try:
-        bound = load_mission(deploy, simulate=True).bindings if beside(deploy, DEVICES) else Bindings()
+        if beside(deploy, DEVICES):
+            whole = load_mission(deploy, simulate=True)
+            found += [Remark(told, "warning") for told in _stated_twice(whole)]
+            bound = whole.bindings
         loaded = compile_file(program)[0]
         deployment = read_deployment(deploy, loaded.units)
         team = team_of(deployment.rows, deployment.kinds, deployment.ports)
         mission = _decided(Mission(deploy.stem, loaded, team, bound, KnownDrivers({})), deployment)
     except BindingError as error:
         return [*error.findings, *(Remark(problem) for problem in error.problems[len(error.findings) :])]
-    return list(_doubts(deployment, mission))
+    return [*found, *_doubts(deployment, mission)]
 
 
 def check_file(path: Path) -> Sequence[Finding]:

@@ -44,7 +44,9 @@ class Question:
 
 def read_question(text: str, registry: Registry) -> Question:
     """The question in a text. Raises UsageError when it is none, ProgramError with all mistakes in it."""
-    match = _QUESTION.fullmatch(text) if len(text) <= MAX_LENGTH else None
+    if len(text) > MAX_LENGTH:
+        raise UsageError(f"a question has at most {MAX_LENGTH} characters, and this one {len(text)}")
+    match = _QUESTION.fullmatch(text)
     if match is None:
         raise UsageError('a question is written like "Lift" or "Lift where payload >= 2.0"')
     source = Source("query", text)

@@ -175,6 +175,10 @@ class Machine:
         """
         return self._visits.calling(agent)
 
+    def fetches(self, agent: Agent) -> bool:
+        """Whether that is a call of a `together` which has begun there."""
+        return self._visits.fetches(agent)
+
     def release(self, agent: Agent) -> None:
         """Forget a coordinator that has left."""
         self._scheduler.release(agent)

@@ -93,6 +93,11 @@ EXCEPTIONS: dict[str, dict[str, str]] = {
         "sky   | carrier.fc: it has a watchdog of 2 s: nothing stops it sooner when this computer dies "
         "(waived by its binding)": EXAMPLES,
     },
+    "examples/05-two-carry-one/README.md": {
+        "lfield up --deploy examples/05-two-carry-one/mission.dL --all --sim --until-done": EXAMPLES,
+        "lfield test examples/05-two-carry-one": SUITE,
+        "bravo | beam: ada+bob take the beam (composed: two-carry-one of Haul (ada), Haul (bob))": EXAMPLES,
+    },
     "examples/16-three-tiers/README.md": {
         "pip install -e examples/16-three-tiers/planner": TIERS,
         "lfield up --deploy examples/16-three-tiers/mission.dL --all --sim --until-done": TIERS,

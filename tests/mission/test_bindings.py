@@ -258,3 +258,17 @@ def test_a_deployment_is_checked_with_the_devices_file_beside_it(tmp_path):
     (found,) = mission_problems(tmp_path / "m.dL")
     problem = found.render()
     assert "did you mean 'land'?" in problem
+
+
+def test_what_two_files_state_of_one_agent_is_told_when_they_are_checked(tmp_path):
+    (tmp_path / "m.L").write_text(
+        "include <can/winch.L>;\ncoordinator Boss { init(string[] arg) { findLift(); } }\n"
+    )
+    (tmp_path / "m.dL").write_text("//Winch:hoist@host?1&2&3\n//Boss:boss@host\n")
+    (tmp_path / "m.capabilities.yaml").write_text("registry: 1\nagents: {hoist: {mass: 3.0}}\n")
+    (tmp_path / "m.devices.yaml").write_text("agents: {hoist: {attributes: {mass: 8, payload: 5}}}\n")
+    (found,) = mission_problems(tmp_path / "m.dL")
+    assert (found.severity, found.render()) == (
+        "warning",
+        "mass of hoist is stated in the devices file and in the mission's registry, which counts",
+    )

@@ -68,8 +68,9 @@ def hosts(registry, answers, at=""):
 
 def test_from_the_files_only_what_is_written_is_known(registry):
     first, second = from_files(registry, AGENTS).candidates("Hoist")
-    assert (first.agent, first.host, dict(first.facts)) == ("first", "alpha", {})
-    assert second.facts == {"payload": Fact(1.2), "battery": Fact(0.5)}
+    assert (first.agent, first.host, dict(first.stated)) == ("first", "alpha", {})
+    assert second.stated == {"payload": Fact(1.2), "battery": Fact(0.5)}
+    assert (dict(first.facts), dict(second.facts)) == ({}, {})
     assert set(first.unknown) == {"battery", "armed", "fix", "note"}
     assert set(second.unknown) == {"armed", "fix", "note"}
     assert from_files(registry, AGENTS).candidates("Boss") == ()
@@ -107,7 +108,8 @@ def test_why_a_value_is_not_known_is_what_the_host_says(registry):
 
 def test_what_a_mission_states_counts_before_what_is_told(registry):
     answers = {"bravo": status(second=told(battery=[0.9, 1.0]))}
-    assert hosts(registry, answers)[1].facts["battery"] == Fact(0.5)
+    second = hosts(registry, answers)[1]
+    assert (second.fact("battery"), dict(second.facts)) == (Fact(0.5), {})
 
 
 def test_an_agents_own_host_counts_before_others_and_the_asked_one_before_all(registry):

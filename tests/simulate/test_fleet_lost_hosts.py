@@ -44,11 +44,18 @@ BEGUN = """
             print("threw " + e.message());
         }
 """
+TOGETHER = """
+        try {
+            together { near.stay(0.5); far.look(); }
+        } catch (UnreachableResourceException e) {
+            print("threw " + e.message());
+        }
+"""
 TEAM = "//Post:near@alpha\n//Post:far@bravo\n//Walker:w@alpha?{0}\n"
 
 
-def fleet_of(folder: Path, words: str, call: str = CALL) -> Fleet:
-    (folder / "mission.L").write_text(PROGRAM.replace("//call", call))
+def fleet_of(folder: Path, words: str, call: str = CALL, program: str = PROGRAM) -> Fleet:
+    (folder / "mission.L").write_text(program.replace("//call", call))
     (folder / "mission.dL").write_text(TEAM.format(words))
     return Fleet(load_mission(folder / "mission.dL"), seed=3)
 
@@ -81,6 +88,19 @@ def test_a_host_that_was_killed_seven_seconds_ago_is_not_waited_for(tmp_path, en
     assert before == "bravo could not be reached: there has been no link for "
     assert 6.0 < float(seconds) < 8.0
     assert after == " s; is it up?"
+
+
+def test_a_together_does_not_wait_either_for_a_host_in_which_it_has_begun_nothing(tmp_path):
+    fleet = fleet_of(tmp_path, "12.0", TOGETHER)
+    start_of(fleet)
+    fleet.run(said(fleet, "met")[0] + 5.0 - fleet.now)
+    fleet.crash("bravo")
+    fleet.run(20.0)
+    (asked, _), (threw, why) = said(fleet, "asks"), said(fleet, "threw")
+    assert threw - asked < 0.6, "as long as the other call takes"
+    assert re.fullmatch(
+        r"bravo could not be reached: there has been no link for .* \(far.look\(\) has not begun\)", why
+    )
 
 
 def test_the_time_of_a_host_that_is_away_is_counted_from_the_end_of_its_link(tmp_path):
@@ -119,6 +139,18 @@ def test_a_host_that_has_ended_for_certain_is_not_waited_for(tmp_path):
     (asked, _), (threw, why) = said(fleet, "asks"), said(fleet, "threw")
     assert threw - asked < 0.1
     assert why == "bravo could not be reached: it has ended"
+
+
+def test_a_host_that_nobody_has_met_is_waited_for_once(tmp_path):
+    twice = CALL.replace('"threw', '"first') + CALL
+    fleet = fleet_of(tmp_path, "0.1", twice, re.sub(r'print\("met .*', "", PROGRAM))
+    fleet.crash("bravo")
+    fleet.run(25.0)
+    (asked, _), (first, why), (threw, again) = said(fleet, "asks"), said(fleet, "first"), said(fleet, "threw")
+    assert first - asked == pytest.approx(10.0, abs=0.3)
+    assert why == "bravo could not be reached within 10 s; is it up?"
+    assert threw - first < 0.1
+    assert again.startswith("bravo could not be reached: there has been no link for 1")
 
 
 def test_what_was_begun_on_a_host_that_is_away_is_waited_for(tmp_path):

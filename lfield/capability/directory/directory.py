@@ -12,7 +12,7 @@ stopped renewing, and all values of a host that was away until it has told every
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
 
@@ -53,7 +53,19 @@ class _Remote:
     conditions: dict[str, Condition] = field(default_factory=dict)
 
 
-class _Shown(Struct, frozen=True):
+class _Seen(Struct, frozen=True, gc=False):
+    """How a host is at the moment of a question: how its agents are, and since when it is away.
+
+    It surely kept its values up to date up to `kept_until`; those of this host are as old as they say.
+    """
+
+    conditions: Mapping[str, Condition]
+    away: float | None = None
+    kept_until: float = -math.inf
+    hops: int = 0
+
+
+class _Shown(Struct, frozen=True, gc=False):
     """A candidate as it was answered, good `until` then while condition and link are the same."""
 
     candidate: Candidate
@@ -152,67 +164,69 @@ class Directory:
 
     def candidates(self, resource: str) -> list[Candidate]:
         """The agents of a resource type as they are now, in the order of the deployment."""
-        now = self._clock.monotonic()
-        return [self._candidate(agent, now) for agent in self._by_type.get(resource, ())]
+        return self._candidates(self._by_type.get(resource, ()))
 
     def here(self) -> Place | None:
         """Where this host is: where the first of its agents is whose place is known, else its pose."""
-        now = self._clock.monotonic()
-        own = (self._candidate(agent, now) for agent in self._agents.values() if agent.host == self._here)
+        now, seen = self._clock.monotonic(), self._seen(self._here)
+        own = (self._candidate(self._agents[agent], seen, now) for agent in self.own_agents)
         return place_of(own, self._registry.attributes, self._pose)
 
     def everybody(self) -> list[Candidate]:
         """All agents as they are now, in the order of the deployment."""
-        now = self._clock.monotonic()
-        return [self._candidate(agent, now) for agent in self._agents.values()]
+        return self._candidates(self._agents.values())
 
-    def _candidate(self, agent: Deployed, now: float) -> Candidate:
+    def _candidates(self, agents: Iterable[Deployed]) -> list[Candidate]:
         # Written out, here and below, because a thousand agents go through it in a query.
-        if agent.host == self._here:
-            condition, away = self._own.get(agent.id, SILENCE), None
-        else:
-            condition = self._remotes[agent.host].conditions.get(agent.id, SILENCE)
-            away = self._links.away.get(agent.host)
+        now, hosts, found = self._clock.monotonic(), dict[str, _Seen](), []
+        for agent in agents:
+            seen = hosts.get(agent.host)
+            if seen is None:
+                seen = hosts[agent.host] = self._seen(agent.host)
+            found.append(self._candidate(agent, seen, now))
+        return found
+
+    def _seen(self, host: str) -> _Seen:
+        if host == self._here:
+            return _Seen(self._own)
+        remote = self._remotes[host]
+        heard = self._links.last_heard(host) if remote.in_step else None
+        kept_until = remote.kept_until if heard is None else max(remote.kept_until, heard)
+        return _Seen(remote.conditions, self._links.away.get(host), kept_until, 1)
+
+    def _candidate(self, agent: Deployed, seen: _Seen, now: float) -> Candidate:
+        condition, away = seen.conditions.get(agent.id, SILENCE), seen.away
         own = condition.reserved is not None and condition.reserved.holder == self.asker
         shown = self._shown.get(agent.id)
-        same = shown is not None and shown.condition is condition and (shown.away, shown.own) == (away, own)
-        if shown is None or not same or now >= shown.until:
-            shown = self._shown[agent.id] = self._show(agent, condition, away, now, own=own)
+        if (
+            shown is None
+            or shown.condition is not condition
+            or (shown.away, shown.own) != (away, own)
+            or now >= shown.until
+        ):
+            shown = self._shown[agent.id] = self._show(agent, condition, seen, now, own=own)
         return shown.candidate
 
-    def _show(
-        self, agent: Deployed, condition: Condition, away: float | None, now: float, *, own: bool
-    ) -> _Shown:
-        known, told = self._known[agent.id], {}
+    def _show(self, agent: Deployed, condition: Condition, seen: _Seen, now: float, *, own: bool) -> _Shown:
+        known, told, away = self._known[agent.id], {}, seen.away
         trouble = condition.trouble if away is None else Trouble("unreachable", away)
         if condition.samples:
-            told = _with_ages(condition.samples, self._kept_until(agent.host), now)
+            told = _with_ages(condition.samples, seen.kept_until, now)
         why = trouble or (None if own else condition.reserved)
         refusal = why.sentence(now) if why else ""
-        hops = 0 if agent.host == self._here else 1
-        untold = f"{agent.host} has not told {{}} yet"
-        candidate = known.shown(hops, refusal, told, condition.unknown, untold)
-        passing = why or known.measured
+        candidate = known.shown(seen.hops, refusal, told, condition.unknown, "{1} has not told {0} yet")
+        passing = why or (told and known.measured)
         return _Shown(candidate, condition, away, own, now + MOMENT if passing else math.inf)
-
-    def _kept_until(self, host: str) -> float:
-        """Until when a host surely kept its values up to date; those of this host are as old as they say."""
-        remote = self._remotes.get(host)
-        if remote is None:
-            return -math.inf
-        heard = self._links.last_heard(host) if remote.in_step else None
-        return remote.kept_until if heard is None else max(remote.kept_until, heard)
 
 
 def _with_ages(samples: Mapping[str, Sample], kept_until: float, now: float) -> dict[str, Fact]:
     """What was told, as old as it is now: what is kept has moved on with its host, up to `kept_until`."""
     facts = {}
     for name, sample in samples.items():
-        if sample.of != "measured":
-            facts[name] = Fact(sample.value, 0.0, sample.of)
-            continue
-        true_at = sample.when
-        if sample.kept and kept_until > sample.at:
-            true_at += kept_until - sample.at
-        facts[name] = Fact(sample.value, now - true_at if now > true_at else 0.0, "measured")
+        age = 0.0
+        if sample.of == "measured":
+            age = now - sample.when
+            if sample.kept and kept_until > sample.at:
+                age -= kept_until - sample.at
+        facts[name] = Fact(sample.value, age if age > 0.0 else 0.0, sample.of)
     return facts

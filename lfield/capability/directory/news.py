@@ -64,7 +64,7 @@ class Sample(Struct, frozen=True, gc=False):
     of: Provenance = "measured"
 
 
-class Condition(Struct, frozen=True):
+class Condition(Struct, frozen=True, gc=False):
     """How an agent is, or what changed about it: `trouble` and who has it `reserved` are always told, the
     others by attribute.
 

@@ -48,17 +48,19 @@ class Known:
     ) -> Candidate:
         """The agent with what its host has told of it.
 
-        `untold` is the reason, with the name as `{}`, for a value that is neither told nor known to be none.
+        `untold` is the reason for a value that is neither told nor known to be none, with the name of the
+        attribute as `{0}` and the host's as `{1}`.
         """
-        facts = {**told, **self.stated} if told else self.stated
+        if not self.stated.keys().isdisjoint(told):
+            told = {name: fact for name, fact in told.items() if name not in self.stated}
         if unknown:
             # Of what need not be measured its type may say what is usual.
             unknown = {name: why for name, why in unknown.items() if name in self.measured}
-        lacking = [name for name in self.measured if name not in facts and name not in unknown]
+        lacking = [name for name in self.measured if name not in told and name not in unknown]
         if lacking:
-            unknown = {**{name: untold.format(name) for name in lacking}, **unknown}
-        agent = self.agent
-        return Candidate(agent.id, agent.type, agent.host, hops, refusal, facts, unknown, self.number)
+            unknown = {**{name: untold.format(name, self.agent.host) for name in lacking}, **unknown}
+        agent, number = self.agent, self.number
+        return Candidate(agent.id, agent.type, agent.host, hops, refusal, told, unknown, number, self.stated)
 
 
 def known_agents(registry: Registry, agents: Collection[Deployed]) -> dict[str, Known]:
@@ -94,13 +96,13 @@ def place_of(
         found = [_fresh(candidate, axis, attributes) for axis in POSITION]
         if found[0] is not None and found[1] is not None:
             return found[0], found[1], found[2]
-        if any(axis in candidate.unknown or axis in candidate.facts for axis in POSITION):
+        if any(axis in candidate.unknown or candidate.fact(axis) for axis in POSITION):
             pose = None
     return pose
 
 
 def _fresh(candidate: Candidate, name: str, attributes: Mapping[str, Attribute]) -> float | None:
-    fact, attribute = candidate.facts.get(name), attributes.get(name)
+    fact, attribute = candidate.fact(name), attributes.get(name)
     if fact is None or attribute is None or (attribute.live and fact.age > attribute.max_age):
         return None
     known = isinstance(fact.value, int | float) and math.isfinite(fact.value)

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from functools import lru_cache, partial
+from functools import lru_cache
 from itertools import combinations
 from typing import get_args
 
 from lfield.capability import ways
-from lfield.capability.matching.evaluate import Facts, evaluator, names
+from lfield.capability.matching.evaluate import evaluator, names
 from lfield.capability.matching.expression import POSITION
 from lfield.capability.matching.joining import Combinations, Effort, Stream
 from lfield.capability.matching.narrowing import Narrowed, narrow
@@ -102,9 +102,10 @@ class Assembly:
         unknown = {name: why(name) for name, _, _ in self._attributes if name not in facts}
         cost = self.cost([part.cost for part in parts])
         rank = (cost, 1, (self.rule.name,), tuple(part.rank for part in parts))
-        return Plan(partial(self._offer, parts, facts, cost), rank, values, unknown, self.rule.name)
+        return Plan(self._offer, (parts, facts), rank, values, unknown, self.rule.name)
 
-    def _offer(self, parts: Sequence[Plan], facts: Facts, cost: float) -> Offer:
+    def _offer(self, plan: Plan) -> Offer:
+        parts, facts = plan.given
         rule, offers = self.rule, [part.offer for part in parts]
         known = {
             name: self._fact(facts[name], names(expression), offers)
@@ -117,7 +118,7 @@ class Assembly:
             self._way,
             _listed(offer.agent for offer in offers),
             _listed(offer.host for offer in offers),
-            cost,
+            plan.cost,
             known,
             dict(zip(self._fields, offers, strict=True)),
             rule.name,
@@ -141,10 +142,16 @@ class Assembly:
                 return ", ".join([f"{name} is not known", *dict.fromkeys(map(why, lacking))])
             index, attribute = self._place(name)
             if attribute in POSITION:
-                return f"the position of {self._needs[index]} is not known"
+                return f"the position of {self._needs[index]} is not known{_in_part(parts[index])}"
             return f"of {self._needs[index]}, {parts[index].why(attribute)}"
 
         return why
+
+
+def _in_part(part: Plan) -> str:
+    """What lacks of a position of which the rest is known."""
+    lacking = [axis for axis in POSITION if axis not in part.values]
+    return f": {', '.join(map(part.why, lacking))}" if len(lacking) < len(POSITION) else ""
 
 
 def _joined(found: Sequence[Value]) -> Value:

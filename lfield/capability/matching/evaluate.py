@@ -19,6 +19,8 @@ from lfield.capability.matching.expression import POSITION
 from lfield.capability.model import Expression, Value
 from lfield.capability.offer import Place
 
+_NORTH, _EAST, _DOWN = POSITION
+
 Facts = Mapping[str, Value]
 Judge = Callable[[Facts], Value | None]
 
@@ -241,8 +243,9 @@ def _distance(one: str, other: str) -> Judge:
             first, second = facts.get(here), facts.get(there)
             if first is None or second is None:
                 return None
-            squares += (_real(first) - _real(second)) ** 2
-        return math.sqrt(squares)
+            apart = _real(first) - _real(second)
+            squares += apart * apart
+        return _root(squares)
 
     return judge
 
@@ -256,21 +259,27 @@ def _distance_to(place: list[Judge]) -> Judge:
             is_at, wanted = facts.get(axis), asked(facts)
             if is_at is None or wanted is None:
                 return None
-            squares += (_real(is_at) - _real(wanted)) ** 2
-        return math.sqrt(squares)
+            apart = _real(is_at) - _real(wanted)
+            squares += apart * apart
+        return _root(squares)
 
     return judge
 
 
-def distance_to(facts: Facts, place: Place) -> float | None:
+def distance_to(facts: Mapping[str, Any], place: Place) -> float | None:
     """Metres from an offer to a place, over ground where one of the two does not say how deep it is.
 
-    None where nobody knows where it is.
+    None where nobody knows how many.
     """
-    north, east, down = (facts.get(axis) for axis in POSITION)
+    north, east, down = facts.get(_NORTH), facts.get(_EAST), facts.get(_DOWN)
     if north is None or east is None:
         return None
-    squares = (_real(north) - place[0]) ** 2 + (_real(east) - place[1]) ** 2
-    if down is not None and place[2] is not None:
-        squares += (_real(down) - place[2]) ** 2
-    return math.sqrt(squares)
+    there_north, there_east, there_down = place
+    x, y = north - there_north, east - there_east
+    z = 0.0 if down is None or there_down is None else down - there_down
+    return _root(x * x + y * y + z * z)
+
+
+def _root(squares: float) -> float | None:
+    """Metres from their squares; None where no number can hold them."""
+    return math.sqrt(squares) if squares < math.inf else None

@@ -32,6 +32,11 @@ TOO_MANY = "there are more combinations of parts than could be tried"
 MAX_TOLD = 100
 
 
+def only_best(number: int) -> str:
+    """What is said of a rule of which there are more combinations than are offered."""
+    return f"only the best {number} combinations are offered"
+
+
 def render(refusals: Iterable[Refusal], indent: str = "") -> str:
     """A line for each refusal, with those inside it indented below."""
     return "\n".join(_lines(refusals, indent))
@@ -140,10 +145,7 @@ class Explanation:
             yield Refusal(rule.name, ("it would be a part of itself",))
             return
         plans = search.composed(assembly, place.left - 1, place.used, _taken_apart(place.asked))
-        offered = sum(plans.at(number) is not None for number in range(search.limits.per_rule + 1))
-        notes = self._notes(rule.name, offered, place)
-        if offered:
-            yield from [Refusal(rule.name, notes)] if notes else []
+        if plans.at(0) is not None:
             return
         lacking = tuple(self._lacking(assembly, place))
         if lacking:
@@ -151,16 +153,8 @@ class Explanation:
             inner = tuple(refusal for below in lacking for refusal in self._inside(below))
             yield Refusal(rule.name, parts, inner)
         else:
-            yield Refusal(rule.name, ("no parts that fit", *notes), tuple(self._misfits(assembly, place)))
-
-    def _notes(self, rule: str, offered: int, place: _Place) -> tuple[str, ...]:
-        """What the limits of the search left out."""
-        limits = self._search.limits
-        if rule in self._search.cut:
-            return (TOO_MANY,)
-        if offered > limits.per_rule and not place.used:
-            return (f"only the best {limits.per_rule} combinations are offered",)
-        return ()
+            cut = (TOO_MANY,) if rule.name in search.cut else ()
+            yield Refusal(rule.name, ("no parts that fit", *cut), tuple(self._misfits(assembly, place)))
 
     def _lacking(self, assembly: Assembly, place: _Place) -> Iterator[_Place]:
         """The needs for which there is nobody at all."""

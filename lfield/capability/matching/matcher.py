@@ -9,7 +9,7 @@ from itertools import islice
 from typing import Any
 
 from lfield.capability.matching.evaluate import evaluator, names
-from lfield.capability.matching.explain import TOO_MANY, Explanation
+from lfield.capability.matching.explain import TOO_MANY, Explanation, only_best
 from lfield.capability.matching.joining import Effort, GivenUp, Stream, teams
 from lfield.capability.matching.plan import Plan
 from lfield.capability.matching.rules import Rules
@@ -22,7 +22,8 @@ from lfield.capability.offer import Offer, Refusal, Team
 class Answer:
     """The best offers, best first; how many there are; and what the search left out, in words.
 
-    Of `cut` rules not all combinations of parts could be tried: there may be more offers, and better ones.
+    Of `cut` rules not all combinations of parts could be tried: there may be more offers, and better ones. Of
+    `full` rules only the best `per_rule` are offered.
     `unordered` are attributes that nobody states and by which was to be ordered.
     """
 
@@ -30,11 +31,13 @@ class Answer:
     count: int
     cut: tuple[str, ...] = ()
     unordered: tuple[str, ...] = ()
+    full: tuple[str, ...] = ()
+    per_rule: int = 0
 
     @property
     def notes(self) -> list[str]:
         """What was left out, a sentence each."""
-        found = []
+        found = [f"{rule}: {only_best(self.per_rule)}" for rule in self.full if rule not in self.cut]
         if self.count > len(self.offers):
             least = "at least " if self.cut else ""
             found.append(f"the best {len(self.offers)} of {least}{self.count} offers are given")
@@ -57,18 +60,23 @@ class Answer:
 class Teams:
     """Teams of offers, best first, the members of each best first; how many agents there are for one.
 
-    Of `cut` rules not all combinations of parts could be tried, nor of the members if there are `more`.
+    There are `others` that are not given. Of `cut` rules not all combinations of parts could be tried, nor of
+    the members if there are `more`. Of `full` rules only the best so many combinations could be members.
     """
 
     teams: Sequence[Sequence[Offer]]
     agents: int
     cut: tuple[str, ...] = ()
     more: bool = False
+    full: tuple[str, ...] = ()
+    others: bool = False
 
     @property
     def notes(self) -> list[str]:
         """What was left out, a sentence each."""
-        found = [f"{rule}: {TOO_MANY}" for rule in self.cut]
+        found = [f"the best {len(self.teams)} of more teams are given"] if self.others else []
+        found += [f"{rule}: {TOO_MANY}" for rule in self.cut]
+        found += [f"{rule}: only the best combinations can be in a team" for rule in self.full]
         return [*found, "there are more teams than could be tried"] if self.more else found
 
 
@@ -107,7 +115,8 @@ class Matcher:
             plans, unordered = list(islice(search.plans(), most)), ()
             count = len(plans) if len(plans) < most else max(len(plans), search.count())
         offers = [plan.offer for plan in plans[:most]]
-        return Answer(offers, count, tuple(sorted(search.cut)), unordered)
+        cut, full = (tuple(sorted(names)) for names in (search.cut, search.full))
+        return Answer(offers, count, cut, unordered, full, self._limits.per_rule)
 
     def offers(self, primitive: str, constraint: Expression | None = None) -> Sequence[Offer]:
         """The best who serve the primitive and fulfil a condition."""
@@ -131,14 +140,16 @@ class Matcher:
         else:
             members, cost = Stream(_by_agents(search.plans())), self._rules.ranking.whole
         found, more = [], False
+        most = wish.limit or self.most
         try:
             effort = Effort(self._limits.tried, self._limits.steps)
-            for team in islice(teams(members, size, cost, effort), wish.limit or self.most):
+            for team in islice(teams(members, size, cost, effort), most + 1):
                 found.append([plan.offer for plan in team])
         except GivenUp:
             more = True
         agents = len(_agents(members.all()))
-        return Teams(found, agents, tuple(sorted(search.cut)), more)
+        cut, full = (tuple(sorted(names)) for names in (search.cut, search.full))
+        return Teams(found[:most], agents, cut, more, full, len(found) > most)
 
     def agents(self, primitive: str, wish: Wish = ANYBODY) -> int:
         """How many agents take part in any offer."""
@@ -175,6 +186,8 @@ class Matcher:
             given[plan.composition] += 1
             if not plan.composition or given[plan.composition] <= self._limits.per_rule:
                 best.append(plan)
+            else:
+                search.full.add(plan.composition)
         return best, tuple(unordered)
 
 

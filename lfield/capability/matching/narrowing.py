@@ -4,6 +4,7 @@
     payload >= 400                      of each part, where payload is min(fork.payload, cart.payload)
     agent == "f39"                      of the whole: the fork is f39, or else the cart is
     fork.slot == cart.slot              a join: each fork is put to the carts of its slot only
+    fork.slot == cart.slot || far < 9   a choice: two searches, by the join, and without it
     fork.payload + cart.payload >= 3    a check: tried, the cheapest first
 
 A condition is rewritten with what the rule says the whole is worth, taken apart, and each piece is given to
@@ -14,16 +15,18 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 from lfield.capability import condition
-from lfield.capability.matching.evaluate import Judge, conjuncts, is_between_parts, named, value_of
+from lfield.capability.matching.evaluate import Facts, Judge, conjuncts, is_between_parts, named, value_of
 from lfield.capability.matching.expression import IDENTITY
-from lfield.capability.model import Composition, Expression
+from lfield.capability.model import Composition, Expression, Value
 
 #: So many ways to tell who of the parts it is are followed one by one; what is left is tried.
 MAX_BRANCHES = 16
 
 _MIRRORED: Mapping[str, str] = {"<": ">", "<=": ">=", ">": "<", ">=": "<="}
+_OPPOSITE: Mapping[str, str] = {"==": "!=", "!=": "==", "<": ">=", ">=": "<", "<=": ">", ">": "<="}
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,13 +60,17 @@ class Narrowed:
 
 @dataclass(slots=True)
 class _Asked:
-    """What was found while conditions were taken apart; an alternative is a condition for each part."""
+    """What was found while conditions were taken apart.
+
+    An alternative is a condition for each part, of a choice at least one side is true.
+    """
 
     parts: list[list[Expression]]
     joins: list[Join] = field(default_factory=list)
     checks: list[Check] = field(default_factory=list)
     whole: list[Expression] = field(default_factory=list)
     alternatives: list[tuple[Expression, Expression]] = field(default_factory=list)
+    choices: list[tuple[condition.Expr, condition.Expr]] = field(default_factory=list)
 
 
 def narrow(rule: Composition, asked: Sequence[Expression]) -> list[Narrowed]:
@@ -78,6 +85,8 @@ class _Narrowing:
         self._rule = rule
         self._needs = list(rule.needs)
         self._found = _Asked([[*_conjuncts(need.when)] for need in rule.needs.values()])
+        #: How many searches there will be.
+        self._searches = 1
 
     def narrowed(self, asked: Sequence[Expression]) -> list[Narrowed]:
         """One for each way to tell who of the parts is meant; none where no whole can be what is asked."""
@@ -88,10 +97,7 @@ class _Narrowing:
                 return []
             self._of_whole(conjunct)
         found = self._found
-        base = Narrowed(
-            tuple(map(tuple, found.parts)), tuple(found.joins), tuple(found.checks), tuple(found.whole)
-        )
-        branches = [base]
+        branches = self._grown(Narrowed(((),) * len(self._needs)), found)
         for is_it, is_not in found.alternatives:
             branches = [
                 _with(branch, [*([is_not] * number), is_it])
@@ -99,6 +105,33 @@ class _Narrowing:
                 for number in range(len(self._needs))
             ]
         return branches
+
+    def _grown(self, branch: Narrowed, found: _Asked) -> list[Narrowed]:
+        """A branch in which what was found is asked, too: one for each way to choose."""
+        parts = tuple((*had, *new) for had, new in zip(branch.parts, found.parts, strict=True))
+        joins, checks = (*branch.joins, *found.joins), (*branch.checks, *found.checks)
+        branches = [Narrowed(parts, joins, checks, (*branch.whole, *found.whole))]
+        for one, other in found.choices:
+            # What both sides are true of is found by the first.
+            first, second = self._taken_apart(one), self._taken_apart(other)
+            second.checks.append(self._check(one, lambda judge, facts: judge(facts) is not True))
+            branches = [more for b in branches for side in (first, second) for more in self._grown(b, side)]
+        return branches
+
+    def _taken_apart(self, tree: condition.Expr) -> _Asked:
+        """What one side of a choice asks."""
+        before, self._found = self._found, _Asked([[] for _ in self._needs])
+        for piece in _pieces(tree):
+            self._piece(piece)
+        found, self._found = self._found, before
+        return found
+
+    def _may_search(self, times: int) -> bool:
+        """Whether there may be so many times the searches; then there are."""
+        if self._searches * times > MAX_BRANCHES:
+            return False
+        self._searches *= times
+        return True
 
     def _of_whole(self, conjunct: Expression) -> None:
         """A condition on the whole, or on parts by name."""
@@ -134,7 +167,7 @@ class _Narrowing:
         if sign == "!=":
             for asked in self._found.parts:
                 asked.append(is_not)
-        elif len(self._needs) ** (len(self._found.alternatives) + 1) <= MAX_BRANCHES:
+        elif self._may_search(len(self._needs)):
             self._found.alternatives.append((is_it, is_not))
         else:
             self._found.whole.append(conjunct)
@@ -147,9 +180,20 @@ class _Narrowing:
             self._found.parts[part].append(_expression(_replaced(tree, _alone)))
         elif (join := self._join(tree)) is not None:
             self._found.joins.append(join)
+        elif isinstance(tree, condition.Binary) and tree.operator == "||" and self._divides(tree):
+            self._found.choices.append((tree.left, tree.right))
         else:
-            looked_at = tuple((name, *self._place(name)) for name in dict.fromkeys(named(tree)))
-            self._found.checks.append(Check(value_of(tree), looked_at, parts))
+            self._found.checks.append(self._check(tree, lambda judge, facts: judge(facts)))
+
+    def _check(self, tree: condition.Expr, verdict: Callable[[Judge, Facts], Value | None]) -> Check:
+        looked_at = tuple((name, *self._place(name)) for name in dict.fromkeys(named(tree)))
+        return Check(partial(verdict, value_of(tree)), looked_at, self._parts_of(tree))
+
+    def _divides(self, tree: condition.Binary) -> bool:
+        """Whether two searches, one for each side, would try less than one."""
+        sides = [piece for side in (tree.left, tree.right) for piece in _pieces(side)]
+        prunes = any(len(self._parts_of(piece)) == 1 or self._join(piece) is not None for piece in sides)
+        return prunes and self._may_search(2)
 
     def _join(self, tree: condition.Expr) -> Join | None:
         match tree:
@@ -232,6 +276,8 @@ def _replaced(
 def _pieces(tree: condition.Expr) -> Iterator[condition.Expr]:
     """What must all be true so that the tree is: `min(a, b) >= 2` is `a >= 2` and `b >= 2`."""
     match tree:
+        case condition.Unary(operator="!", operand=operand) if (inner := _negated(operand)) is not None:
+            yield from _pieces(inner)
         case condition.Binary(operator="&&", left=left, right=right):
             yield from _pieces(left)
             yield from _pieces(right)
@@ -246,6 +292,21 @@ def _pieces(tree: condition.Expr) -> Iterator[condition.Expr]:
                 yield tree
         case _:
             yield tree
+
+
+def _negated(tree: condition.Expr) -> condition.Expr | None:
+    """What is true where the tree is false, and unknown where it is; None where that is only its negation."""
+    match tree:
+        case condition.Unary(operator="!", operand=operand):
+            return operand
+        case condition.Binary(operator=sign) if sign in _OPPOSITE:
+            return replace(tree, operator=_OPPOSITE[sign])
+        case condition.Binary(operator="&&" | "||" as sign, left=left, right=right):
+            not_left, not_right = (
+                condition.Unary(side.span, side.height + 1, "!", side) for side in (left, right)
+            )
+            return replace(tree, operator="||" if sign == "&&" else "&&", left=not_left, right=not_right)
+    return None
 
 
 # --- equal texts are equal conditions ------------------------------------------------------------------

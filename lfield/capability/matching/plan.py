@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from functools import cache, partial
+from functools import cache
 from typing import Any
+
+from msgspec import Struct
 
 from lfield.capability import ways
 from lfield.capability.matching.evaluate import Facts, Judge
@@ -18,17 +19,17 @@ from lfield.capability.offer import Offer
 Rank = tuple[float, int, tuple[str, ...], tuple[Any, ...]]
 
 
-@dataclass(slots=True, eq=False)
-class Plan:
+class Plan(Struct, eq=False):
     """An offer, its rank, and its attributes as flat facts with `agent`, `robot` and `host`.
 
     Plans are offered in the order of their ranks. Where a plan takes several agents, the three are sets.
     `unknown` tells of attributes why they have no value. `composition` is the rule that puts several parts
-    together, '' when it is one agent. The offer itself is made by `make` when it is asked for: most plans of
-    a search are not offered in the end.
+    together, '' when it is one agent. The offer itself is made by `make`, of the plan and what it is `given`,
+    when it is asked for: most plans of a search are not offered in the end.
     """
 
-    make: Callable[[], Offer]
+    make: Callable[[Plan], Offer]
+    given: tuple[Any, ...]
     rank: Rank
     values: Facts
     unknown: Mapping[str, str]
@@ -50,7 +51,7 @@ class Plan:
     def offer(self) -> Offer:
         """What the matcher gives, made once."""
         if self._offer is None:
-            self._offer = self.make()
+            self._offer = self.make(self)
         return self._offer
 
     def why(self, name: str) -> str:
@@ -83,12 +84,13 @@ def standing_in(rule: Equivalence, behind: Plan, ranking: Ranking) -> Plan:
     """The plan by a one-to-one rule, from one for what the rule asks."""
     cost, rules, names, end = behind.rank
     cost = ranking.by_rule(cost, rule.loss)
-    make = partial(_equivalent, rule, behind, cost, ranking)
     rank = (cost, rules + 1, (rule.name, *names), end)
-    return Plan(make, rank, behind.values, behind.unknown, behind.composition)
+    given = rule, behind, ranking
+    return Plan(_equivalent, given, rank, behind.values, behind.unknown, behind.composition)
 
 
-def _equivalent(rule: Equivalence, behind: Plan, cost: float, ranking: Ranking) -> Offer:
+def _equivalent(plan: Plan) -> Offer:
+    rule, behind, ranking = plan.given
     inner, way = behind.offer, _way(rule.name)
     return Offer(
         rule.serves,
@@ -96,7 +98,7 @@ def _equivalent(rule: Equivalence, behind: Plan, cost: float, ranking: Ranking) 
         way,
         inner.agent,
         inner.host,
-        cost,
+        plan.cost,
         inner.facts,
         {way: inner},
         rule.name,

@@ -5,12 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from functools import partial
 
 from lfield.capability import ways
-from lfield.capability.matching.evaluate import Facts, conjuncts, evaluator
+from lfield.capability.matching.evaluate import conjuncts, evaluator
 from lfield.capability.matching.plan import Plan, fulfilling
-from lfield.capability.matching.ranking import AGENT, Ranking
+from lfield.capability.matching.ranking import AGENT, Costing, Ranking
 from lfield.capability.matching.reasons import reasons
 from lfield.capability.model import Attribute, Provider, Value
 from lfield.capability.offer import Candidate, Fact, Offer, Place
@@ -44,10 +43,13 @@ class Provided:
             name: Fact(value, of="nominal" if name in nominal else "stated")
             for name, value in self._values.items()
         }
-        self._kept: dict[str, tuple[Candidate, Plan]] = {}
+        self._bases: dict[str, tuple[Mapping[str, Fact], dict[str, Value]]] = {}
+        self._kept: dict[str, Plan] = {}
+        self._make = self._offer
         self._asked: Asked | None = None
         self._counted: Mapping[str, float] = {}
-        self._here: Place | None = None
+        #: What an agent costs for the question that was asked last.
+        self._costing: Costing
 
     def plans(self, candidates: Iterable[Candidate], asked: Asked) -> list[Plan]:
         """Of the candidates that can do it now."""
@@ -66,38 +68,48 @@ class Provided:
     def plan(self, candidate: Candidate, asked: Asked) -> Plan:
         """What a candidate would be, made anew only when something about it changed."""
         if asked is not self._asked:
-            self._count(asked)
+            self._ask(asked)
         kept = self._kept.get(candidate.agent)
-        if kept is not None and (kept[0] is candidate or kept[0] == candidate):
-            return kept[1]
-        plan = self._made(candidate)
-        self._kept[candidate.agent] = candidate, plan
-        return plan
+        if kept is None or kept.given[0] is not candidate:
+            kept = self._kept[candidate.agent] = self._made(candidate)
+        return kept
 
-    def _count(self, asked: Asked) -> None:
+    def _ask(self, asked: Asked) -> None:
         """From now on the ages of what is named count too, and distances from where is asked."""
         counted = self._ranking.counted(self.primitive, asked.named)
-        if counted != self._counted or asked.here != self._here:
+        if self._asked is None or (counted, asked.here) != (self._counted, self._asked.here):
             self._kept.clear()
-        self._asked, self._counted, self._here = asked, counted, asked.here
+            self._costing = self._ranking.agents(self.primitive, asked.here)
+        self._asked, self._counted = asked, counted
 
     def _made(self, candidate: Candidate) -> Plan:
-        host, known, staleness = candidate.host, self._counting(candidate.facts), 0.0
-        facts = {**self._facts, **known}
-        values = {**self._values, "agent": candidate.agent, "robot": host, "host": host}
-        unknown = dict(candidate.unknown)
+        # Written out, because a thousand agents come through here in a query.
+        known, live, unknown = self._counting(candidate.facts), self._live, candidate.unknown
+        values = self._stated(candidate).copy()
         for name, fact in known.items():
-            values[name] = fact.value
-            if name in self._live:
-                unknown |= self._useless(name, fact)
-            if name in self._counted:
-                staleness = max(staleness, fact.age / self._counted[name])
+            value = values[name] = fact.value
+            too_old = name in live and fact.age > live[name]
+            if too_old or (type(value) is float and not math.isfinite(value)):
+                unknown = {**unknown, name: self._useless(name, fact)}
         for name in unknown:
-            facts.pop(name, None)
             values.pop(name, None)
-        cost, amounts = self._ranking.agent(self.primitive, values, candidate.hops, staleness, self._here)
-        make = partial(self._offer, candidate, facts, values, cost, amounts)
-        return Plan(make, (cost, 0, (), (candidate.number,)), values, unknown)
+        staleness = 0.0
+        for name, limit in self._counted.items():
+            if name in known and known[name].age > staleness * limit:
+                staleness = known[name].age / limit
+        cost, amounts = self._costing(values, candidate.hops, staleness)
+        rank = cost, 0, (), (candidate.number,)
+        return Plan(self._make, (candidate, amounts), rank, values, unknown)
+
+    def _stated(self, candidate: Candidate) -> dict[str, Value]:
+        """What is said of an agent whatever its host tells, made once."""
+        kept = self._bases.get(candidate.agent)
+        if kept is None or kept[0] is not candidate.stated:
+            own, host = candidate.stated, candidate.host
+            values = {**self._values, "agent": candidate.agent, "robot": host, "host": host}
+            kept = own, values | {name: fact.value for name, fact in own.items()}
+            self._bases[candidate.agent] = kept
+        return kept[1]
 
     def _counting(self, facts: Mapping[str, Fact]) -> Mapping[str, Fact]:
         """What is said of a candidate, without what it tells of itself where this primitive says otherwise.
@@ -108,34 +120,28 @@ class Provided:
             return facts
         return {name: f for name, f in facts.items() if f.of != "told" or name not in self._own}
 
-    def _offer(
-        self,
-        candidate: Candidate,
-        facts: Mapping[str, Fact],
-        values: Facts,
-        cost: float,
-        amounts: tuple[float, ...],
-    ) -> Offer:
+    def _offer(self, plan: Plan) -> Offer:
+        candidate, amounts = plan.given
+        facts = {**self._facts, **self._counting(candidate.facts), **candidate.stated}
+        facts = {name: fact for name, fact in facts.items() if name not in plan.unknown}
         return Offer(
             self.primitive,
             "direct",
             self._way,
             candidate.agent,
             candidate.host,
-            cost,
+            plan.cost,
             facts,
             terms=self._ranking.terms(AGENT, amounts),
-            penalties=self._ranking.penalties(self.primitive, values),
+            penalties=self._ranking.penalties(self.primitive, plan.values),
         )
 
-    def _useless(self, name: str, fact: Fact) -> dict[str, str]:
-        """Why a live fact says nothing; {} when it does."""
-        limit = self._live[name]
+    def _useless(self, name: str, fact: Fact) -> str:
+        """Why a fact says nothing."""
+        limit = self._live.get(name, math.inf)
         if fact.age > limit:
-            return {name: f"{name} is {_seconds(fact.age, limit)} old, at most {limit:g} s"}
-        if isinstance(fact.value, float) and not math.isfinite(fact.value):
-            return {name: f"{name} is not a number"}
-        return {}
+            return f"{name} is {_seconds(fact.age, limit)} old, at most {limit:g} s"
+        return f"{name} is not a number"
 
 
 def _seconds(age: float, limit: float) -> str:

@@ -30,8 +30,8 @@ from lfield.capability.offer import Candidate, Penalty, Place, Term
 
 #: The penalty of a typical value, and of one that is not known.
 TYPICAL_PENALTY = 0.5
-#: Digits behind the point of a cost.
-DIGITS = 9
+#: A cost of 1 in the steps that are counted: nine decimals.
+STEPS = 1e9
 
 #: The terms of each kind of offer: the weight of the mission, and what it is multiplied with.
 AGENT: Mapping[str, str] = {"fitness": "F", "hop": "H", "near": "N", "age": "A"}
@@ -62,6 +62,11 @@ class Rated(NamedTuple):
     share: float
     typical: float
     more: bool
+
+
+#: From what is known of an agent, its hops, and A of the formula before it is cut off at 1: its cost, and the
+#: amounts of its terms.
+Costing = Callable[[Facts, int, float], tuple[float, tuple[float, ...]]]
 
 
 class Ranking:
@@ -141,26 +146,25 @@ class Ranking:
 
     # --- an agent -------------------------------------------------------------------------------------
 
-    def agent(
-        self, primitive: str, values: Facts, hops: int, staleness: float, here: Place | None
-    ) -> tuple[float, tuple[float, ...]]:
-        """The cost of an agent that serves the primitive itself, and the amounts of its terms.
-
-        `staleness` is A of the formula before it is cut off at 1; `here` is where the question is asked.
-        """
-        # Written out, because a thousand agents come through here in a query.
-        fitness = 0.0
-        for name, share, typical, more in self.rated(primitive):
-            fitness += share * _penalty(typical, more, values.get(name))
-        near = 0.0 if here is None else self._nearness(values, here)
-        age = staleness if staleness < 1.0 else 1.0
+    def agents(self, primitive: str, here: Place | None) -> Costing:
+        """What an agent costs that serves the primitive itself, when the question is asked `here`."""
+        rated = [(r.name, r.share, r.typical, r.more) for r in self.rated(primitive)]
+        nearby = self._weights.nearby
         of_fitness, of_hop, of_near, of_age = self._of_agent
-        cost = of_fitness * fitness + of_hop * hops + of_near * near + of_age * age
-        return round(cost, DIGITS), (fitness, hops, near, age)
 
-    def _nearness(self, values: Facts, here: Place) -> float:
-        distance = distance_to(values, here)
-        return TYPICAL_PENALTY if distance is None else distance / (self._weights.nearby + distance)
+        # Everything is at hand, because a thousand agents come through here in a query.
+        def costing(values: Facts, hops: int, staleness: float) -> tuple[float, tuple[float, ...]]:
+            fitness, near = 0.0, 0.0
+            for name, share, typical, more in rated:
+                fitness += share * _penalty(typical, more, values.get(name))
+            if here is not None:
+                distance = distance_to(values, here)
+                near = TYPICAL_PENALTY if distance is None else distance / (nearby + distance)
+            age = staleness if staleness < 1.0 else 1.0
+            cost = of_fitness * fitness + of_hop * hops + of_near * near + of_age * age
+            return _rounded(cost), (fitness, hops, near, age)
+
+        return costing
 
     def terms(self, kind: Mapping[str, str], amounts: Iterable[float]) -> tuple[Term, ...]:
         """The terms of a cost, for people: those of AGENT, ONE_TO_ONE, ONE_TO_MANY or TEAM."""
@@ -180,7 +184,7 @@ class Ranking:
 
     def by_rule(self, behind: float, loss: float) -> float:
         """The cost of an offer that stands in by a one-to-one rule, from that of the one behind it."""
-        return round(behind + self._weights.loss * loss, DIGITS)
+        return _rounded(behind + self._weights.loss * loss)
 
     def whole(self, parts: Iterable[float], loss: float = 0.0) -> float:
         """The cost of a composition, from those of its parts; that of a team has no loss."""
@@ -188,7 +192,12 @@ class Ranking:
         for cost in parts:
             total += cost
             count += 1
-        return round(total + self._weights.loss * loss + self._weights.part * count, DIGITS)
+        return _rounded(total + self._weights.loss * loss + self._weights.part * count)
+
+
+def _rounded(cost: float) -> float:
+    # Three times as fast as round(cost, 9), and the same but for costs in the middle between two steps.
+    return round(cost * STEPS) / STEPS
 
 
 def _penalty(typical: float, more: bool, value: Any) -> float:
@@ -196,7 +205,8 @@ def _penalty(typical: float, more: bool, value: Any) -> float:
     if value is None:
         return TYPICAL_PENALTY
     amount = value if value > 0.0 else 0.0
-    return float((typical if more else amount) / (typical + amount))
+    penalty: float = (typical if more else amount) / (typical + amount)
+    return penalty
 
 
 def _is_rated(attribute: Attribute) -> bool:

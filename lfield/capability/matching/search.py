@@ -91,6 +91,8 @@ class Search:
         self.asked = Asked(named(constraint).union(also_named), team.here())
         #: Compositions of which not all combinations were tried.
         self.cut: set[str] = set()
+        #: Compositions of which only the best are offered.
+        self.full: set[str] = set()
         self._team = team
         self._effort = Effort(limits.tried, limits.steps)
         self._candidates: dict[str, Sequence[Candidate]] = {}
@@ -166,6 +168,8 @@ class Search:
             if plan is None:
                 return
             yield plan
+        if next(plans, None) is not None:
+            self.full.add(assembly.rule.name)
 
     def serves(self, primitive: str, chain: Chain, depth: int, used: Used, wishes: Wishes) -> bool:
         """Whether there is any plan by a chain that begins with this one."""

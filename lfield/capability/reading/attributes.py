@@ -68,8 +68,9 @@ def read_ranking(draft: Draft) -> None:
     for file in draft.files:
         section = file.top.section("ranking")
         stated = section.section("weights")
+        known = draft.weights
         weights = {
-            term: stated.number(term, minimum=0.0, maximum=_HEAVIEST) for term in _TERMS if term in stated
+            term: stated.number(term, getattr(known, term), minimum=0.0, maximum=_HEAVIEST) for term in _TERMS
         }
         stated.done()
         attributes = {**draft.weights.attributes, **_attribute_weights(draft, section.section("attributes"))}

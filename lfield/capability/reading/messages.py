@@ -126,8 +126,8 @@ NEITHER_NOR = _message(
 SERVES_ITSELF = _message("C151", "{primitive} serves {primitive} without any rule", "remove the rule")
 CYCLE = _message(
     "C152",
-    "this need can only be met with what it is a part of: {path}",
-    "a plan that contains itself never ends; remove one of these rules",
+    "this need leads back to what it is a part of: {path}",
+    "remove one of these rules; a rule may only need just what it serves",
 )
 NO_SOURCE = _message("C153", "there is no file {path}", "paths are seen from the folder of this file")
 BAD_EXPRESSION = _message("C154", "{problem}")

@@ -6,7 +6,7 @@ from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
 
 from lfield.capability import units, ways
-from lfield.capability.model import Argument, Equivalence, Portal, PortalMap, Primitive
+from lfield.capability.model import Argument, Composition, Equivalence, Portal, PortalMap, Primitive
 from lfield.capability.reading import messages
 from lfield.capability.reading.draft import Draft
 from lfield.capability.reading.signatures import argument_type, constant_type, fits
@@ -133,18 +133,28 @@ Graph = Mapping[str, Sequence[tuple[str, str]]]
 
 
 def check_cycles(draft: Draft) -> None:
-    """Report every need that can only be met with what it is a part of, with the way that leads back.
+    """Report every need that leads back to what it is a part of, with the way there.
 
     Rules are edges from what is served to what serves it. One-to-one rules may run in circles, since nobody
-    is asked twice; a circle through a need would make plans without end.
+    is asked twice. What is needed may be just what is served: two haul more than one. No other circle may go
+    through a need, for nobody could see any more what a whole is made of.
     """
     graph = _graph(draft)
     for rule in draft.compositions.values():
         for need in rule.needs.values():
             back = _path(graph, need.primitive, rule.serves)
-            if back is not None:
-                path = " -> ".join([rule.serves, f"{need.primitive} ({rule.name})", *back])
-                draft.tell(messages.CYCLE, need.span, path=path)
+            if back:
+                steps = [rule.serves, f"{need.primitive} ({rule.name})", *(f"{to} ({by})" for to, by in back)]
+                place = _to_blame(draft, need.span, [by for _, by in back])
+                draft.tell(messages.CYCLE, place, path=" -> ".join(steps))
+
+
+def _to_blame(draft: Draft, need: Span, rules: Sequence[str]) -> Span:
+    """Where a circle was closed: at a rule of the mission, where one of ours leads through it."""
+    mission = {str(file.path) for file in draft.files if file.mission}
+    known: Mapping[str, Equivalence | Composition] = {**draft.equivalences, **draft.compositions}
+    spans = [need, *(known[rule].span for rule in rules)]
+    return next((span for span in spans if span.source.name in mission), need)
 
 
 def _graph(draft: Draft) -> Graph:
@@ -157,8 +167,8 @@ def _graph(draft: Draft) -> Graph:
     return graph
 
 
-def _path(graph: Graph, start: str, goal: str) -> list[str] | None:
-    """A shortest way from one primitive to another, each step with its rule; None when there is none."""
+def _path(graph: Graph, start: str, goal: str) -> list[tuple[str, str]] | None:
+    """A shortest way from one primitive to another: each step, and its rule; None when there is none."""
     came_from: dict[str, tuple[str, str]] = {start: ("", "")}
     waiting = deque([start])
     while waiting and goal not in came_from:
@@ -169,9 +179,9 @@ def _path(graph: Graph, start: str, goal: str) -> list[str] | None:
                 waiting.append(to)
     if goal not in came_from:
         return None
-    steps: list[str] = []
+    steps: list[tuple[str, str]] = []
     while goal != start:
         before, rule = came_from[goal]
-        steps.append(f"{goal} ({rule})")
+        steps.append((goal, rule))
         goal = before
     return steps[::-1]

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from lfield.capability import units
 from lfield.capability.model import Attribute, Live, Provider, Registry
 from lfield.capability.reading import messages
 from lfield.manifest import DeviceManifest, Quantity
-from lfield.text.source import Diagnostics
+from lfield.text.source import Diagnostic, Diagnostics
 from lfield.text.suggest import did_you_mean, listed
 
 #: Types of telemetry that can be an attribute of each type; an element of an array counts as a number.
@@ -55,17 +55,19 @@ def _settled(
             continue
         manifest = manifests.get(devices.get(live.device, ""))
         if manifest is None:
-            hint = did_you_mean(live.device, devices)
-            found.add(
-                messages.NO_DEVICE.at(
-                    live.span, hint=hint, type=provider.type, device=live.device, devices=listed(devices)
-                )
-            )
+            found.add(_no_device(provider, live, [name for name in devices if devices[name] in manifests]))
             continue
         settled = _from_device(registry.attributes[name], live, manifest, found)
         if settled is not None:
             lives[name] = settled
     return replace(provider, live=lives)
+
+
+def _no_device(provider: Provider, live: Live, devices: Sequence[str]) -> Diagnostic:
+    hint = did_you_mean(live.device, devices) or ("it has none" if not devices else None)
+    return messages.NO_DEVICE.at(
+        live.span, hint=hint, type=provider.type, device=live.device, devices=listed(devices)
+    )
 
 
 def _from_device(

@@ -85,20 +85,21 @@ def check_types(
 ) -> None:
     """Report providers in the file of a mission that are types neither of its program nor of a library.
 
+    What a provider includes must be there in any case.
     `own` are the resource types of the program, `find_source` maps the path of an include to its file.
     """
     told = [p for p in registry.providers.values() if p.span.source.name == str(mission)]
     others = registry.providers.keys() - {provider.type for provider in told}
     for provider in told:
+        path = find_source(provider.include) if provider.include else None
+        if provider.include and path is None:
+            found.add(messages.NO_LIBRARY.at(provider.span, path=provider.include))
+            continue
         if provider.type in own:
             continue
-        if not provider.include:
+        if path is None:
             hint = did_you_mean(provider.type, sorted({*own, *others}))
             found.add(messages.NO_TYPE.at(provider.span, hint=hint, type=provider.type))
-            continue
-        path = find_source(provider.include)
-        if path is None:
-            found.add(messages.NO_LIBRARY.at(provider.span, path=provider.include))
         elif provider.type not in (units := _units(path) or {}):
             hint = did_you_mean(provider.type, units) or f"it has {listed(units)}"
             message = messages.NOT_IN_LIBRARY.at(

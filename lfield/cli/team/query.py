@@ -84,10 +84,12 @@ def _answer(matcher: Matcher, primitive: Primitive, question: Question, size: in
     found = matcher.find(primitive.name, question.wish)
     refusals = matcher.explain(primitive.name, question.constraint)
     if size is None:
-        return Answer(primitive, found.offers, found.count, refusals, found.notes)
+        return Answer(primitive, found.offers, found.count, refusals, found.notes, is_cut=bool(found.cut))
     formed = matcher.teams(primitive.name, size, question.wish)
     notes = list(dict.fromkeys([*found.notes, *formed.notes]))
-    return Answer(primitive, found.offers, found.count, refusals, notes, formed.teams)
+    return Answer(
+        primitive, found.offers, found.count, refusals, notes, formed.teams, formed.agents, bool(found.cut)
+    )
 
 
 def _known(args: argparse.Namespace, team: Team, asked: Asked, at: str) -> Known:

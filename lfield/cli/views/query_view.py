@@ -52,7 +52,8 @@ class Known:
 class Answer:
     """Who serves a primitive: the best of them, best first, and how many there are; and who does not.
 
-    `teams` are of these offers, where teams were asked for. `notes` say what was left out.
+    `teams` are of these offers, where teams were asked for, and `agents` could be in one.
+    `notes` say what was left out.
     """
 
     primitive: Primitive
@@ -61,6 +62,8 @@ class Answer:
     refusals: Sequence[Refusal]
     notes: Sequence[str] = ()
     teams: Sequence[Sequence[Offer]] | None = None
+    agents: int = 0
+    is_cut: bool = False
 
 
 # --- for people ---------------------------------------------------------------------------------------
@@ -76,7 +79,8 @@ def show(
         if answer.offers:
             _show_offers(answer.offers, _Attributes(registry, question))
         else:
-            print("nobody can" if explain else "nobody can; --explain says why")
+            said = "nobody was found, and not all could be tried" if answer.is_cut else "nobody can"
+            print(said if explain else f"{said}; --explain says why")
         if answer.teams is not None:
             _show_teams(answer)
         for note in answer.notes:
@@ -122,7 +126,8 @@ def _show_offers(offers: Sequence[Offer], attributes: _Attributes) -> None:
 
 def _show_teams(answer: Answer) -> None:
     """The teams by their members; who they are stands in the table above."""
-    print("\nteams:" if answer.teams else "\nno team can")
+    agents = f"{answer.agents} agent{'' if answer.agents == 1 else 's'}"
+    print("\nteams:" if answer.teams else f"\nno team can: {agents} could be in one")
     for rank, team in enumerate(answer.teams or (), 1):
         print(f"{rank:>4}  {printable(', '.join(offer.agent for offer in team))}")
 

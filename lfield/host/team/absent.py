@@ -24,10 +24,7 @@ class Absent:
 
     def away(self, host: str) -> float:
         """For how many seconds a host that was linked has not been; 0 for one that was never met, or is."""
-        since = self._nearby.away.get(host)
-        if since is None or self._hearsay.is_linked(host) or self._nearby.last_heard(host) is None:
-            return 0.0
-        return max(0.0, self._clock.monotonic() - since)
+        return 0.0 if self._nearby.last_heard(host) is None else self._missing(host)
 
     def lost(self, host: str) -> str:
         """Why nobody need wait for a host, '' when it may be reached in time."""
@@ -35,8 +32,15 @@ class Absent:
             return ""
         if host in self._hearsay.gone:
             return f"{host} could not be reached: it has ended"
-        away = self.away(host)
-        if away and away >= LOST_AFTER * self._unreachable_after:
-            seconds = f"{away:.{0 if away >= 10 else 1}f} s"
+        is_met, missing = self._nearby.last_heard(host) is not None, self._missing(host)
+        if missing and missing >= (LOST_AFTER if is_met else 1.0) * self._unreachable_after:
+            seconds = f"{missing:.{0 if missing >= 10 else 1}f} s"
             return f"{host} could not be reached: there has been no link for {seconds}; is it up?"
         return ""
+
+    def _missing(self, host: str) -> float:
+        """For how many seconds a host that is wanted has had no link; 0 for one that has, or is unwanted."""
+        since = self._nearby.away.get(host)
+        if since is None or self._hearsay.is_linked(host):
+            return 0.0
+        return max(0.0, self._clock.monotonic() - since)

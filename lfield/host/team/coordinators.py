@@ -217,7 +217,7 @@ class Coordinators:
         """
         if self._stays(agent):
             return
-        target, fetches = self._mission.team.hosts[resource.host], self._fetches(agent)
+        target, fetches = self._mission.team.hosts[resource.host], self._machine.fetches(agent)
         if not fetches and (why := absent.lost(target)):
             self._resume(agent, UNREACHABLE, why)
             return
@@ -242,13 +242,8 @@ class Coordinators:
             return "waits for its disk"
         if not self.is_leaving(agent):
             return "being kept"
-        called = self._machine.calling(agent) if self._fetches(agent) else None
+        called = self._machine.calling(agent) if self._machine.fetches(agent) else None
         return f"fetches from {self._mission.team.hosts[called[0].host]}" if called else "leaving"
-
-    def _fetches(self, agent: Agent) -> bool:
-        """Whether a frozen coordinator has begun something on the host that it wants to."""
-        called = self._machine.calling(agent)
-        return called is not None and called[1] != "" and self._machine.goes_on(agent)
 
     def is_leaving(self, agent: Agent) -> bool:
         """Whether a frozen coordinator wants to another host, or may be there."""

@@ -205,11 +205,12 @@ class Reservations:
             self._queue_up(found, _Waiting(start, "take", now + self._wait(resource)))
         return 0
 
-    def serves(self, start: Start, resource: str, number: int, now: float) -> bool:
+    def serves(self, start: Start, resource: str, number: int, now: float, *, nested: bool = False) -> bool:
         """Whether a portal may begin for somebody who has it by this number (0: not at all); else it waits.
 
-        Raises Refused. A call of the holder without the number is made outside of its block: so it has left
-        that, and what says so was lost, or is on its way.
+        Raises Refused, at once for who has something else (`nested`) and would have to wait. A call of the
+        holder without the number is made outside of its block: so it has left that, and what says so was
+        lost, or is on its way.
         """
         found = self._find(resource, now)
         if number:
@@ -222,7 +223,7 @@ class Reservations:
         if found.holder is None and not found.makes_way(start):
             self._leave_queue(found, start)
             return True
-        if start in found.late or self._wait(resource) <= 0:
+        if start in found.late or nested or self._wait(resource) <= 0:
             self._leave_queue(found, start)
             raise Refused(RESERVED, self._words(resource, found, now, start))
         self._queue_up(found, _Waiting(start, "call", now + self._wait(resource)))
@@ -294,9 +295,10 @@ class Reservations:
             self._serve_queue(resource, found, now)
 
     def postpone(self, now: float) -> None:
-        """Time stood still for whoever waits: it has all its time again."""
+        """Time stood still for who waits and for who has something: they have all their time again."""
         for resource, found in self._resources.items():
             deadline = now + self._wait(resource)
+            found.until = max(found.until, now + self._lease)
             found.queue = deque(replace(each, deadline=deadline) for each in found.queue)
 
     # --- inside ---------------------------------------------------------------------------------------

@@ -126,8 +126,9 @@ class Reserving:
         if not self._leases.may_begin(agent):
             return False
         start = agent.id, agent.generation
+        nested = not number and bool(self._machine.held(agent))
         try:
-            serves = self._core.serves(start, resource.id, number, self._clock.monotonic())
+            serves = self._core.serves(start, resource.id, number, self._clock.monotonic(), nested=nested)
         except Refused as refused:
             raise Trap(refused.kind, str(refused), resource.id) from None
         finally:
@@ -162,6 +163,9 @@ class Reserving:
     def received(self, message: ReservationMessage) -> None:
         """A host tells of the holder of a resource of this one."""
         now = self._clock.monotonic()
+        if self._team.paused:
+            # Whose renewals came late, as its host could not tell whether it has left, loses nothing.
+            self._core.postpone(now)
         match message:
             case Renew() if message.resource in self._resources:
                 start = message.agent, message.generation

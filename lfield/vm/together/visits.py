@@ -197,10 +197,15 @@ class Visits:
         called = self.called(agent)
         if not called:
             return ""
-        begun = self.head(agent) and self.wanted(agent)[0].state != COLLECTED
+        begun = self.fetches(agent)
         return (
             f"; {called} has begun, and was not heard of again" if begun else f" before {called} could begin"
         )
+
+    def fetches(self, agent: Agent) -> bool:
+        """Whether what a frozen coordinator waits for is a call of a `together` that has begun."""
+        wanted = self.wanted(agent) if self.head(agent) else []
+        return bool(wanted) and wanted[0].state != COLLECTED
 
     def goes_on(self, agent: Agent) -> bool:
         """Whether nothing is unknown of what a restored coordinator did where it stands."""

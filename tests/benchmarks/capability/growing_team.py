@@ -16,8 +16,9 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from lfield.capability.directory.news import Condition, News, Sample, Trouble
-from lfield.capability.matching.expression import compile_constraint
+from lfield.capability.matching.expression import compile_wish
 from lfield.capability.matching.matcher import Matcher
+from lfield.capability.model import ANYBODY
 from lfield.clock import ManualClock
 from lfield.host.directory import TeamDirectory
 from lfield.host.offers import Offers
@@ -39,9 +40,10 @@ KINDS: Mapping[str, Sequence[str]] = {
     "Equal": ("Copter",),
     "Pair": ("Copter", "Hand"),
     "Trio": ("Copter", "Hand", "Cart"),
+    "Team": ("Crane",),
 }
-#: The one of proxies.
-PROXIES = "Crane"
+#: The one of proxies, and the one of teams of two that offer `Direct`.
+PROXIES, TEAMS = "Crane", "Team"
 #: About half of all agents fulfil it.
 CONDITION = "payload >= 4.0 && battery >= 0.1 && mass < 99.0"
 PER_HOST = 10
@@ -62,7 +64,7 @@ coordinator Boss {
     init(string[] arg) {
         while (true) {
             %s[] who = null;
-            if (arg.length() == 1) who = find%s(); else who = %s;
+            if (arg.length() == 1) who = %s; else who = %s;
             print(who.length());
             sleep(1.0);
         }
@@ -132,9 +134,8 @@ def growing_mission(kind: str, count: int, lively: bool) -> Mission:
 
 def _written(folder: Path, kind: str, count: int, lively: bool) -> Mission:
     types, chance = KINDS[kind], random.Random(1)
-    wished = f"find{kind}()" if kind == PROXIES else f'find{kind}("{CONDITION}")'
     resources = (_RESOURCE % (name, portal) for name, portal in _PORTALS.items())
-    (folder / "team.L").write_text("".join(resources) + _BOSS % (kind, kind, wished))
+    (folder / "team.L").write_text("".join(resources) + _BOSS % _asked(kind))
     (folder / "parts.L").write_text(_PARTS)
     rows = [f"//{types[i % len(types)]}:a{i}@host{i // PER_HOST}" for i in range(count)]
     (folder / "team.dL").write_text(
@@ -146,6 +147,15 @@ def _written(folder: Path, kind: str, count: int, lively: bool) -> Mission:
     registry = _REGISTRY.replace("LIVE", f"{_LIVE}," if lively else "")
     (folder / "team.capabilities.yaml").write_text(registry + stated)
     return load_mission(folder / "team.dL", simulate=True)
+
+
+def _asked(kind: str) -> tuple[str, str, str]:
+    """The elements of the answer, and how is asked for it, without and with a condition."""
+    if kind == PROXIES:
+        return kind, f"find{kind}()", f"find{kind}()"
+    if kind == TEAMS:
+        return "Direct[]", "teamsDirect(2)", f'teamsDirect("{CONDITION}", 2)'
+    return kind, f"find{kind}()", f'find{kind}("{CONDITION}")'
 
 
 @dataclass
@@ -180,6 +190,11 @@ class Answering(Desk):
         """As the world of a host does."""
         assert self.offering is not None
         return self.offering.offers(agent.id, capability, constraint)
+
+    def teams(self, agent: Agent, capability: str, constraint: str | None, size: int) -> list[list[Found]]:
+        """The same of teams."""
+        assert self.offering is not None
+        return self.offering.teams(agent.id, capability, constraint, size)
 
 
 class FirstHost:
@@ -230,18 +245,20 @@ class FirstHost:
         collect(block, self._machine.layouts)
         return 8 * block.top
 
-    def query(self, primitive: str) -> float:
+    def query(self, kind: str) -> float:
         """Those of the same question from outside: what `lfield query` does once this host has answered."""
         if self._lively:
             self._tell()
         registry = self._directory.registry
         views = {self._mission.team.hosts[0]: {told.agent: told for told in self._directory.told()}}
-        wished = compile_constraint(self._condition, registry.attributes) if self._condition else None
+        wish = compile_wish(self._condition, registry.attributes) if self._condition else ANYBODY
+        primitive = "Direct" if kind == TEAMS else kind
         start = time.process_time()
         matcher = Matcher(registry, from_hosts(registry, self._mission.team.deployed, views, ()))
-        assert matcher.offers(primitive, wished)
-        assert matcher.count(primitive, wished)
-        matcher.explain(primitive, wished)
+        assert matcher.find(primitive, wish).count
+        matcher.explain(primitive, wish.condition)
+        if kind == TEAMS:
+            assert matcher.teams(primitive, 2, wish).teams
         return time.process_time() - start
 
     def _tell(self) -> None:

@@ -1,8 +1,7 @@
 """How the cost of a find, and of a query, grows with the team: time, and the bytes of the coordinator.
 
-What is asked for is offered directly, by an equivalence, or by compositions of two and of three; or it is all
-proxies of a type. Teams of two (`teamsX`) have their place in KINDS when there are any. `growth` is how many
-times as much ten times as many agents cost.
+What is asked for is offered directly, by an equivalence, by compositions of two and of three, or by teams of
+two; or it is all proxies of a type. `growth` is how many times as much ten times as many agents cost.
 """
 
 from __future__ import annotations
@@ -12,7 +11,7 @@ import math
 from collections.abc import Callable, Iterator
 from itertools import pairwise
 
-from capability.growing_team import PROXIES, FirstHost, growing_mission
+from capability.growing_team import PROXIES, TEAMS, FirstHost, growing_mission
 from harness.checkout import Checkout
 from harness.figure import Figure, Opener
 from harness.processes import Processes
@@ -26,6 +25,7 @@ _SAID = {
     "Equal": "equivalent",
     "Pair": "composed of two",
     "Trio": "composed of three",
+    TEAMS: "teams of two",
 }
 
 
@@ -42,12 +42,11 @@ def growing(kind: str, *, lively: bool, choosy: bool) -> Opener:
 
 
 def _measured(hosts: dict[int, FirstHost], kind: str) -> Iterator[tuple[str, list[float]]]:
-    yield from _seconds("find", {size: _undisturbed(host.find) for size, host in hosts.items()})
-    for size, host in hosts.items():
-        yield _case("memory", size), [host.memory() / 1024]
+    yield from _grown("find", {size: _undisturbed(host.find) for size, host in hosts.items()})
+    yield from _grown("memory", {size: host.memory() / 1024 for size, host in hosts.items()})
     if kind != PROXIES:
         asked = {size: _undisturbed(lambda h=host: h.query(kind)) for size, host in hosts.items()}
-        yield from _seconds("query", asked)
+        yield from _grown("query", asked)
 
 
 def _undisturbed(ask: Callable[[], float]) -> float:
@@ -56,9 +55,10 @@ def _undisturbed(ask: Callable[[], float]) -> float:
     return min(ask() for _ in range(3))
 
 
-def _seconds(verb: str, took: dict[int, float]) -> Iterator[tuple[str, list[float]]]:
-    for size, seconds in took.items():
-        yield _case(verb, size), [seconds]
+def _grown(verb: str, took: dict[int, float]) -> Iterator[tuple[str, list[float]]]:
+    """What it took at each size, and how that grows."""
+    for size, cost in took.items():
+        yield _case(verb, size), [cost]
     for few, many in pairwise(SIZES):
         yield _growth(verb, few, many), [(took[many] / took[few]) ** (1 / math.log10(many / few))]
 
@@ -71,7 +71,7 @@ def _growth(verb: str, few: int, many: int) -> str:
     return f"{verb}, growth from {few:,} to {many:,}"
 
 
-_GROWTHS = [_growth(verb, few, many) for verb in ("find", "query") for few, many in pairwise(SIZES)]
+_GROWTHS = [_growth(verb, few, many) for verb in ("find", "memory", "query") for few, many in pairwise(SIZES)]
 
 FIGURE = Figure(
     "Finding and asking in a team that grows",
@@ -89,6 +89,7 @@ FIGURE = Figure(
     targets=dict.fromkeys(_GROWTHS, "15x") | {_case("find", 1_000): "5.00 ms"},
     notes=(
         "growth: per ten times as many agents, also where there are three times as many",
+        "memory: all that lives in the block of the coordinator after the find, the answer with it",
         "query: what `lfield query` does once the hosts have answered, why others are not offered too",
         "times are of the processor, in one process: what else runs here does not count",
     ),

@@ -45,9 +45,9 @@ def test_candidates_are_those_of_a_type_in_the_order_of_the_deployment(seats):
 def test_what_the_mission_states_is_a_fact_that_never_ages(seats):
     alpha, _ = seats
     alpha.clock.advance(1000.0)
-    fact = alpha.candidate("arm2").facts["payload"]
+    fact = alpha.candidate("arm2").stated["payload"]
     assert (fact.value, fact.age) == (1.2, 0.0)
-    assert (alpha.candidate("rover2").facts["battery"].value, alpha.candidate("rover2").unknown) == (1.0, {})
+    assert (alpha.candidate("rover2").stated["battery"].value, alpha.candidate("rover2").unknown) == (1.0, {})
 
 
 def test_own_values_are_as_old_as_their_samples(seats):

@@ -22,6 +22,7 @@ attributes:
 primitives:
   Lift: {id: skill, portals: {lift: {}}}
   Haul: {id: skill, portals: {haul: {}}}
+  Carry: {id: skill, portals: {carry: {}}}
 providers:
   Crane: {serves: {Lift: {}}}
 equivalences:
@@ -31,9 +32,15 @@ equivalences:
     where: [one.reach - other.reach == 1234]
     through: Pair
     source: pair.L
+  any-pair:
+    serves: Carry
+    needs: {one: Lift, other: Lift}
+    distinct: true
+    through: Pair
+    source: pair.L
 """
 MANY = 50
-WAYS = {"Lift": ["byCrane"], "Haul": ["of_odd_pair"]}
+WAYS = {"Lift": ["byCrane"], "Haul": ["of_odd_pair"], "Carry": ["of_any_pair"]}
 
 
 class Cranes:
@@ -79,6 +86,16 @@ def test_nobody_is_not_said_where_not_everything_was_tried(answers: Answers) -> 
     assert cut in answers.explain("Haul", None)
     # What prunes before it combines leaves nothing to be tried.
     assert answers.offers("Haul", 'agent == "c3"') == []
+
+
+def test_no_team_is_not_said_where_the_best_combinations_have_an_agent_in_common(answers: Answers) -> None:
+    # c0 is the first of all that are offered; c1 and c2 could make another pair.
+    assert {one.agent.partition("+")[0] for one in answers.offers("Carry", None)} == {"c0"}
+    why = "no team of 2 was found for Carry, but .*any-pair: only the best combinations can be in a team"
+    for question in (None, "limit 5", "order by payload"):
+        with pytest.raises(SearchGivenUp, match=why):
+            answers.teams("Carry", question, 2)
+    assert answers.teams("Carry", None, 51) == []
 
 
 def test_teams_of_none_and_of_too_many(answers: Answers) -> None:

@@ -87,6 +87,16 @@ def test_a_text_that_is_no_condition(text: str, message: str) -> None:
     assert mistake.message == message
 
 
+@pytest.mark.parametrize("sign", ["&&", "||"])
+def test_a_long_chain_is_no_nesting(sign: str) -> None:
+    chain = f" {sign} ".join(["ready", "payload >= 2", "!ready"] * 50)
+    assert mistakes(chain) == []
+    found, _ = parse(chain)
+    assert found is not None
+    assert found.tree.height < 12
+    assert found.tree.span.text == chain
+
+
 def test_all_mistakes_are_told_at_once() -> None:
     with pytest.raises(ConstraintError) as caught:
         wish("paylod > 1 && reach == aerial && environment == areal")

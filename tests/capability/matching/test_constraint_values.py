@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from small_registry import over_parts, wish
 
-from lfield.capability.matching.evaluate import conjuncts, evaluator, names
+from lfield.capability.matching.evaluate import conjuncts, distance_to, evaluator, names
 from lfield.capability.matching.reasons import reasons
 from lfield.capability.model import Value
 
@@ -54,6 +54,15 @@ FACTS: Mapping[str, Value] = {
 )
 def test_a_condition_is_true_false_or_unknown(text: str, value: bool | None) -> None:
     assert evaluator(wish(text))(FACTS) is value
+
+
+@pytest.mark.parametrize("north", [1e200, 1.7e308])
+def test_a_distance_that_no_number_can_hold_is_unknown(north: float) -> None:
+    facts: dict[str, Value] = {"north": north, "east": 0.0, "down": 0.0}
+    assert evaluator(wish("distance(0.0, 0.0) > 1"))(facts) is None
+    assert distance_to(facts, (-1.7e308, 0.0, 0.0)) is None
+    between = {f"{part}.{axis}": at for part in ("a", "b") for axis, at in facts.items()} | {"b.north": 0.0}
+    assert evaluator(over_parts("distance(a, b) > 1", ["a", "b"]))(between) is None
 
 
 @pytest.mark.parametrize(

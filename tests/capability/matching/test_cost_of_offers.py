@@ -126,6 +126,9 @@ def test_nearness_counts_where_the_asker_is_known() -> None:
     found = {offer.agent: pytest.approx(offer.cost - base) for offer in offers}
     assert found == {"near": 0.0, "flat": 0.2 * 0.5, "lost": 0.2 * 0.5, "far": 0.2 * 0.75}
     assert [offer.agent for offer in offers] == ["near", "lost", "flat", "far"]
+    beyond = candidate("beyond", "Crane", north=1e200, **at)
+    (offer,) = Matcher(registry(CRANE), Crew(beyond, place=(0.0, 0.0, -2.0))).offers("Lift")
+    assert offer.cost == pytest.approx(base + 0.2 * 0.5)
 
 
 def test_who_never_serves_does_not_count() -> None:

@@ -29,13 +29,17 @@ def test_parts_in_the_same_slot_are_found() -> None:
     who = found(matcher)
     assert len(who) == 16
     assert set(who) <= {f"f{i}+c{MANY - 1 - i}" for i in range(MANY)}
-    assert matcher.explain("Haul")[0].reasons == ("only the best 16 combinations are offered",)
+    assert matcher.find("Haul").notes == ["pair: only the best 16 combinations are offered"]
 
 
 @pytest.mark.parametrize(
     "where",
     [
         'fork.agent == "f7" && cart.note == "slot 7"',
+        "!(fork.note != cart.note) && fork.payload < 9 && fork.payload > 7",
+        "(fork.note == cart.note || fork.payload > 999) && fork.payload < 9 && fork.payload > 7",
+        "(fork.payload + cart.payload < 0 || fork.note == cart.note) && fork.payload < 9 && fork.payload > 7",
+        "!(fork.note != cart.note && fork.payload < 999) && fork.payload < 9 && fork.payload > 7",
         'fork.agent == "f7" && fork.note == cart.note',
         "fork.payload < 9 && fork.payload > 7 && fork.note == cart.note",
         'cart.agent == "c392" && fork.note == cart.note',
@@ -93,6 +97,21 @@ def test_distinct_parts_are_found_where_all_are_alike() -> None:
     assert len(found(Matcher(registry(FORK, rule), six))) == 16
     five = Crew(*six.members[:5])
     assert found(Matcher(registry(FORK, rule), five)) == []
+
+
+def test_one_of_two_ways_to_fit_is_found_though_the_other_cannot_be_tried_out() -> None:
+    rule = composition("pair", "Haul", PAIR, ["fork.note == cart.note || distance(fork, cart) <= fork.reach"])
+    who = found(forks_and_carts(rule, 100))
+    assert len(who) == 16
+    assert set(who) <= {f"f{99 - i}+c{i}" for i in range(100)}
+
+
+def test_a_rule_may_need_what_it_serves() -> None:
+    rule = composition("two", "Lift", {"left": "Lift", "right": "Lift"}, distinct=("left", "right"))
+    forks = Crew(*[candidate(f"f{i}", "Fork") for i in range(3)])
+    offers = Matcher(registry(FORK, rule), forks).offers("Lift")
+    pairs = ["f0+f1", "f0+f2", "f1+f0", "f1+f2", "f2+f0", "f2+f1"]
+    assert [offer.agent for offer in offers] == ["f0", "f1", "f2", *pairs]
 
 
 def test_a_sum_that_could_not_be_tried_out_is_told() -> None:

@@ -267,7 +267,8 @@ def test_the_best_of_each_composition_are_offered_and_the_limit_is_told() -> Non
     crew = Crew(*arms, candidate("c1", "Copter"))
     matcher = Matcher(registry(ARM, COPTER, GRIP_AND_CLIMB), crew, limits=Limits(per_rule=2))
     assert brief(matcher.offers("Lift")) == ["of_grip_and_climb arm4+c1", "of_grip_and_climb arm3+c1"]
-    assert explained(matcher, "Lift") == ["grip-and-climb: only the best 2 combinations are offered"]
+    assert explained(matcher, "Lift") == []
+    assert matcher.find("Lift").notes == ["grip-and-climb: only the best 2 combinations are offered"]
 
 
 def test_the_best_32_are_offered_and_all_are_counted() -> None:

@@ -117,3 +117,20 @@ def test_mixed_team(lfield):
     for device, state in (("carrier.fc", "land"), ("hoist.axis", "brake"), ("hand.motor", "torque_hold")):
         assert f"{device}: is in its safe state '{state}': the host is stopping" in team.said
     assert lfield.left() == []
+
+
+@pytest.mark.timeout(360)
+def test_two_carry_one(lfield):
+    """Two of four copters carry a beam, by a rule of the mission's, and the others bring crates."""
+    team = lfield.start(
+        "up", "--deploy", EXAMPLES / "05-two-carry-one" / "mission.dL", "--all", "--sim", "--until-done"
+    )
+    team.wait_for("the beam lies at")
+    team.wait_for("the crates are there")
+    assert team.wait() == 0, team.said
+    pair = re.findall(r"beam: (\w+)\+(\w+) take the beam", team.said)
+    crates = re.findall(r"crates: (\w+) and (\w+) bring a crate each", team.said)
+    assert len(pair) == len(crates) == 1
+    assert {*pair[0], *crates[0]} == {"ada", "bob", "cat", "dan"}, team.said
+    assert "beam: the beam lies at (16.0, 0.0)" in team.said
+    assert lfield.left() == []

@@ -225,6 +225,22 @@ def test_refusals_as_json(ask):
                 "lfield: 1 error",
             ],
         ),
+        (
+            "Lift limit -1",
+            65,
+            [
+                "query:1:12: error[C154]: a limit is a whole number from 1 to 1000",
+                "    Lift limit -1",
+                "               ^",
+                "    hint: such as limit 100",
+                "lfield: 1 error",
+            ],
+        ),
+        (
+            "Lift where " + "payload > 1 && " * 700 + "true",
+            64,
+            ["lfield: a question has at most 4000 characters, and this one 10515"],
+        ),
         ("Lift payload", 64, ['lfield: a question is written like "Lift" or "Lift where payload >= 2.0"']),
         (
             "",
@@ -382,7 +398,7 @@ def test_teams(ask):
         *_HAND,
     ]
     status, out, _ = ask("Lift where payload >= 0.1", "--team", "4")
-    assert (status, out[-1]) == (1, "no team can")
+    assert (status, out[-1]) == (1, "no team can: 4 agents could be in one")
 
 
 #: The hand lifts with the mast only, so the mast is no other member.

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import pytest
 
 from lfield.host.team.reservations import (
@@ -104,6 +106,14 @@ def test_others_wait_and_are_told_who_has_it(desk: Desk) -> None:
     refused(desk, RESERVED, "arm is reserved by pilot for 6.0 s", ROVER, "arm", 0, 6.0)
     desk.core.tick(7.0)
     assert desk.effects() == [Refuse(SCOUT, "arm", "arm is reserved by pilot for 7.0 s")]
+
+
+def test_who_has_something_else_does_not_wait(desk: Desk) -> None:
+    desk.has(PILOT, 0.0)
+    for nested in (desk.core.take, partial(desk.core.serves, number=0)):
+        with pytest.raises(Refused, match=r"arm is reserved by pilot for 1\.0 s"):
+            nested(ROVER, "arm", now=1.0, nested=True)
+    assert desk.core.waits_for(ROVER) == ""
 
 
 def test_first_come_first_served(desk: Desk) -> None:
@@ -257,6 +267,15 @@ def test_what_the_disk_has_goes_on_for_one_lease(desk: Desk) -> None:
     assert Write("arm", 42, ROVER, soon=False) in desk.effects()
     assert desk.core.take(ROVER, "leg", 7.0, nested=False) == 0
     assert desk.effects() == [Write("leg", 8, ROVER, soon=False)]
+
+
+def test_who_has_something_through_a_pause_keeps_it_for_one_more_lease(desk: Desk) -> None:
+    number = desk.has(PILOT, 0.0)
+    desk.core.postpone(100.0)
+    desk.core.tick(100.0 + LEASE - 0.1)
+    assert desk.core.serves(PILOT, "arm", number, 100.0 + LEASE - 0.1)
+    desk.core.tick(100.0 + 3 * LEASE)
+    assert desk.core.of("arm") is None
 
 
 def test_who_waits_through_a_pause_has_all_its_time_again(desk: Desk) -> None:

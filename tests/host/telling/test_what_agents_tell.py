@@ -30,6 +30,7 @@ resource Hoist {
     }
     portal place() emit real[] { real[] at = {1.0, 2.0, -3.0}; return at; }
     portal count() emit int { asked = asked + 1; return asked; }
+    portal rise() emit real { fc.takeoff(1.0); return raised; }
     portal slow() emit real { sleep(1000.0); return 1.0; }
 }
 """
@@ -200,6 +201,7 @@ coordinator Foreman {
         ("lift()", "C178", "resource Hoist has no portal lift() that takes nothing"),
         ("heigth()", "C178", "resource Hoist has no portal heigth() that takes nothing"),
         ("count()", "C179", "Hoist.count() may do more than query"),
+        ("rise()", "C179", "Hoist.rise() may do more than query"),
         ("place()", "C174", "'level' is real, and place() is real[]"),
         ("{from: level(), every: 9}", "C107", "'level' is asked every 9 s and counts for 6 s"),
         ("{from: level(), every: 0.1}", "Y113", "'every' must be from 1 to 3600, not 0.1"),

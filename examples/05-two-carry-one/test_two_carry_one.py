@@ -1,0 +1,134 @@
+"""Two copters carry a beam, on virtual time: `lfield test examples/05-two-carry-one`."""
+
+from __future__ import annotations
+
+import math
+import re
+from itertools import combinations, pairwise
+from pathlib import Path
+
+import flown
+import pytest
+
+HERE = Path(__file__).parent
+COPTERS = {"ada": "alpha", "bob": "bravo", "cat": "carol", "dan": "delta"}
+#: Metres: how long the beam is; how much nearer or farther two who carry it may be, and how much higher one.
+LENGTH, OFF = 4.0, 0.6
+#: Where its middle shall be, north and east.
+GOAL = (16.0, 0.0)
+
+
+def landed(team, who):
+    return not team.fake(f"{who}.fc").facts["airborne"]
+
+
+def at_home(team, who):
+    track = team.tracks[f"{who}.fc"]
+    return math.dist(track[0][1:3], track[-1][1:3]) < 1.0 and landed(team, who)
+
+
+def carriers(team):
+    """Who has been asked to carry the beam, each time, in the order of the times."""
+    taken = [line.text for line in team.log if "take the beam" in line.text]
+    return [re.match(r"beam: (\w+)\+(\w+) take", text).groups() for text in taken]
+
+
+def bears(team, begin, end, pair):
+    """The beam is never torn: two who carry it stay as far apart as it is long, and as high."""
+    west, east = (team.tracks[f"{who}.fc"] for who in pair)
+    apart = [
+        (math.dist(a[1:3], b[1:3]), abs(a.up - b.up))
+        for a, b in zip(west, east, strict=True)
+        if begin < a.at < end
+    ]
+    assert apart
+    assert all(abs(far - LENGTH) < OFF and higher < 2.5 for far, higher in apart)
+
+
+def lies(team):
+    """Where the middle of the beam was put down, by the fakes' own truth."""
+    west, east = list(flown.carried(team))[-1]
+    assert max(west.up, east.up) < flown.LOW
+    return (west.north + east.north) / 2, (west.east + east.east) / 2
+
+
+def shows(picture):
+    """What a picture is of: its lines, each with the places where it begins and ends, to 20 dots."""
+    lines = [re.findall(r"[0-9.]+", line) for line in re.findall(r'd="(M[^"]*)"', picture)]
+    return [[round(float(number) / 20.0) for number in (*line[:2], *line[-2:])] for line in lines]
+
+
+def carried_on(team):
+    """Whatever went wrong: the beam has come to its place, and who is left is on the ground at home."""
+    assert team.ended["beam"] == "done"
+    assert math.dist(lies(team), GOAL) < OFF
+
+
+def test_two_carry_the_beam_and_two_more_the_crates(lfield_mission):
+    team = flown.shown(lfield_mission("mission.dL"), fails=False)
+    assert team.ended == {"beam": "done", "crates": "done"}
+    assert carriers(team) == [("ada", "bob")]
+    steps = flown.pairs(team)
+    for one, other in steps:
+        assert max(one.at, other.at) < min(one.ended, other.ended), "both at one time"
+    for step, following in pairwise(steps):
+        assert max(call.ended for call in step) < min(call.at for call in following), "in step"
+    low = [step[0].ended for step in steps if flown.down(step)]
+    bears(team, *low, ("ada", "bob"))
+    carried_on(team)
+    assert all(at_home(team, who) for who in COPTERS)
+    tracks = [team.tracks[f"{who}.fc"] for who in COPTERS]
+    near = min(math.dist(a[1:], b[1:]) for x, y in combinations(tracks, 2) for a, b in zip(x, y, strict=True))
+    assert near > LENGTH - OFF, "nobody meets"
+    assert shows(flown.draw(team)) == shows((HERE / "tracks.svg").read_text()), "run flown.py"
+
+
+def test_the_next_best_team_goes_where_another_pilot_has_the_best_one(lfield_mission):
+    team = lfield_mission("mission.dL")
+    team.run(until="bring a crate each")
+    assert team.said("crates: another team: ada is reserved by beam for ") == 1
+    assert team.said("crates: cat and dan bring a crate each") == 1
+
+
+def test_when_no_team_is_left_the_crates_wait_for_those_who_carry_the_beam(lfield_mission):
+    team = lfield_mission("mission.dL", fakes={"dan.fc": ["battery=0.2"]})
+    team.run(until="bring a crate each")
+    assert team.ended == {"beam": "done"}
+    team.run(1.0)
+    crew = {call.resource for call in team.calls if call.caller == "crates"}
+    assert len(crew) == 2
+    assert "dan" not in crew
+
+
+def test_a_motor_fails_and_the_other_one_puts_its_end_down_where_it_is(lfield_mission):
+    team = flown.shown(lfield_mission("mission.dL"), fails=True)
+    assert team.said("beam: bob.fc has failed: fc: goTo ended early: the motors are off") == 1
+    failed = next(call for call in team.calls if call.thrown)
+    by_ada = [call for call in team.calls if call.resource == "ada"]
+    down = next(call for call in by_ada if call.at > failed.ended)
+    last = by_ada[by_ada.index(down) - 1]
+    assert last.arguments[:2] == down.arguments[:2], "where it is"
+    assert down.arguments[2] == -flown.ROPE
+    assert not any(call.resource == "bob" and call.at > failed.ended for call in team.calls), (
+        "nor moves bob again"
+    )
+    assert carriers(team) == [("ada", "bob"), ("ada", "cat")]
+    carried_on(team)
+    assert all(at_home(team, who) for who in COPTERS if who != "bob")
+    assert shows(flown.draw(team)) == shows((HERE / "failed.svg").read_text()), "run flown.py"
+
+
+@pytest.mark.parametrize("aboard", [False, True], ids=["elsewhere", "aboard"])
+def test_a_computer_is_lost_while_they_carry(lfield_mission, aboard):
+    team = lfield_mission("mission.dL")
+    team.run(until=lambda: team.now > 29.0)
+    here = [hop.target for hop in team.hops if hop.agent == "beam"][-1]
+    lost, left = ("ada", "bob") if (COPTERS["ada"] == here) == aboard else ("bob", "ada")
+    team.crash(COPTERS[lost])
+    team.run(until_done=True)
+    assert landed(team, lost), "its end is down as well: that is its safe state"
+    assert carriers(team)[0] == ("ada", "bob")
+    assert len(carriers(team)) == 2
+    assert lost not in carriers(team)[1]
+    assert landed(team, left)
+    carried_on(team)
