@@ -67,8 +67,9 @@ fuzz: $(VENV)/.tested
 # make bench ONLY=hop,local   those figures        make bench SAVE=rows.json   also writes the rows
 # make bench AGAINST=PATH     compared, round by round, with another checkout that has its own .venv
 # ROUNDS=30 measures longer
+# make bench ONLY=hop,rankings,compiler,collector,agreement,together SAVE=tests/benchmarks/rows.json PICTURE=lfield/docs/figures.svg
 bench: $(VENV)/.measured
-	$(BIN)/python tests/benchmarks/run.py --only "$(ONLY)" $(if $(SAVE),--save "$(SAVE)") \
+	$(BIN)/python tests/benchmarks/run.py --only "$(ONLY)" $(if $(SAVE),--save "$(SAVE)") $(if $(PICTURE),--picture "$(PICTURE)") \
 		$(if $(AGAINST),--against "$(AGAINST)") $(if $(ROUNDS),--rounds $(ROUNDS))
 
 # What is installed, to the byte, stands in deploy/locks; lfield itself is built by what stands there too.

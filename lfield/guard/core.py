@@ -268,9 +268,7 @@ class GuardCore:
         """When the next tick is needed, on the injected clock; None when nothing can become due."""
         if self._ended:
             return None
-        times = [device.expiry() for device in self._devices.values()]
-        times += [device.retry_at for device in self._devices.values()]
-        times += [device.ends_by() for device in self._devices.values()]
+        times = [device.due() for device in self._devices.values()]
         times += [self._rest.due(), self._silence_due()]
         return min((time for time in times if time is not None), default=None)
 

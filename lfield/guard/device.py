@@ -46,12 +46,19 @@ class KnownDevice:
 
     def expiry(self) -> float | None:
         """When the first setpoint in effect is over. An actuation that runs replaces it, unless it fails."""
-        if self.latched:
+        if self.latched or not (self.setpoints or self.acting):
             return None
         times = [until for channel, until in self.setpoints.items() if channel not in self.acting]
         calls = [running.call for running in self.acting.values()]
         times += [call.sent + self.ttl for call in calls if way(self.declared(call)) == "setpoint"]
         return min(times, default=None)
+
+    def due(self) -> float | None:
+        """When the next thing about it is due; None when nothing will be by itself."""
+        if not (self.setpoints or self.acting):
+            return self.retry_at
+        times = (self.expiry(), self.retry_at, self.ends_by())
+        return min((time for time in times if time is not None), default=None)
 
     def running(self, token: int) -> Running | None:
         """What runs for the call of a token, None when nothing does."""
@@ -70,5 +77,7 @@ class KnownDevice:
 
     def too_slow(self, now: float) -> str:
         """What has not ended a cancelled call in its time, in words; '' for nothing."""
+        if not self.acting:
+            return ""
         late = (running.call for running in self.acting.values() if now >= running.until)
         return next((f"{call.instruction}() is not done after {self.rest_within:g} s" for call in late), "")

@@ -122,9 +122,9 @@ class Rest:
     def due(self) -> float | None:
         """When something is to be done again, on the clock of the events."""
         times = [way.look_at for way in self._ways.values() if way.look_at is not None]
-        waited = [way.within for way in self._ways.values() if not self._rests(way)]
-        if self._stopped_at is not None and waited:
-            times.append(self._stopped_at + max(waited))
+        if self._stopped_at is not None:
+            waited = [way.within for way in self._ways.values() if not self._rests(way)]
+            times += [self._stopped_at + max(waited)] if waited else []
         return min(times, default=None)
 
     def _rests(self, way: _Way) -> bool:

@@ -9,7 +9,8 @@ import asyncio
 import os
 import signal
 import sys
-from collections.abc import Callable, Coroutine, Sequence
+from collections.abc import Callable, Coroutine, Iterator, Sequence
+from contextlib import contextmanager
 from typing import Any
 
 from lfield.clock import Clock
@@ -82,6 +83,8 @@ class Shell(asyncio.Protocol):
         self._timer: asyncio.Handle | None = None
         self._timer_at = self._answered = 0.0
         self._asked = self._starved = False
+        # Messages that go out in one write, while there are any to wait for.
+        self._held: list[bytes] | None = None
         self.exit: asyncio.Future[int] = self._loop.create_future()
 
     # -- the pipe -------------------------------------------------------------------------------------
@@ -134,10 +137,27 @@ class Shell(asyncio.Protocol):
             self._tell(Beat(now))
 
     def _tell(self, message: Message) -> None:
-        if not self._output.is_closing():
+        if self._held is not None:
+            self._held.append(encode(message))
+        elif not self._output.is_closing():
             self._output.write(encode(message))
         elif line := last_words(message):
             print(line, file=sys.stderr, flush=True)
+
+    @contextmanager
+    def _in_one_write(self) -> Iterator[None]:
+        """What is told meanwhile goes out together: the host wakes up once for it."""
+        if self._output.is_closing():
+            yield
+            return
+        held: list[bytes] = []
+        self._held = held
+        try:
+            yield
+        finally:
+            self._held = None
+            if held:
+                self._output.write(b"".join(held))
 
     def signalled(self, number: int) -> None:
         """Somebody who means the host has sent its guard a signal too."""
@@ -308,9 +328,10 @@ class Shell(asyncio.Protocol):
             if refusal := core.begins(call):
                 raise device.error(refusal)
             value = await device.execute(call.instruction, call.arguments)
-            # Whoever asks when the call is done must see what it has done.
-            self._telemetry.flush()
-            self._run(core.finished(call.token, value))
+            with self._in_one_write():
+                # Whoever asks when the call is done must see what it has done.
+                self._telemetry.flush_changes()
+                self._run(core.finished(call.token, value))
         except DeviceError as error:
             self._run(core.refused(call.token, error.kind, error.reason))
         except ValueError as error:

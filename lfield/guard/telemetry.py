@@ -58,6 +58,12 @@ class Telemetry:
                 self._push(Snapshot(device, latest.values, latest.heard, taken))
                 latest.values, latest.fresh, latest.taken = {}, False, taken
 
+    def flush_changes(self) -> None:
+        """The same, if there is more to tell than that devices are alive: that can wait for its turn."""
+        known = self._devices.items()
+        if any(latest.values or self._taken(device) != latest.taken for device, latest in known):
+            self.flush()
+
     def _fresh(self, device: str) -> _Latest:
         """The record of a device, now with something to push."""
         latest = self._devices.get(device)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+import gc
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
@@ -38,6 +40,22 @@ from lfield.vm.offers import ways
 DEVICES, CAPABILITIES = ".devices.yaml", ".capabilities.yaml"
 
 
+@contextmanager
+def _uncollected() -> Iterator[None]:
+    """Without Python's collector: trees, tables and registries stay until all is done.
+
+    It would go through them again and again, the longer a program is the more often.
+    """
+    running = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if running:
+            gc.enable()
+
+
+@_uncollected()
 def load_mission(
     deploy: Path,
     program: Path | None = None,
@@ -264,6 +282,7 @@ def _read_program(path: Path) -> Program:
         raise ProgramFileError(f"{path}: {error.reason}", method=error.method, pc=error.pc) from None
 
 
+@_uncollected()
 def compile_file(
     path: Path,
     plugins: Plugins | None = None,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 
 from harness.bench import main
+from harness.picture import Pictured
 
 FIGURES = {
     "hop": "hops.hop",
@@ -19,6 +20,7 @@ FIGURES = {
     "start": "machine.start",
     "memory": "machine.memory",
     "idle": "machine.idle",
+    "compiler": "machine.compiler",
     "compile": "machine.compile",
     "telemetry": "guards.telemetry",
     "mavlink": "guards.mavlink",
@@ -41,5 +43,15 @@ FIGURES = {
     "missions": "team.tested_missions",
 }
 
+#: What the picture of the README shows, in this order.
+PICTURED = {
+    "hop": Pictured("A remote portal call", "bytes of live state"),
+    "rankings": Pictured("A find in a team whose values change", "agents", "lively"),
+    "compiler": Pictured("From L to a program, processor time", "lines"),
+    "collector": Pictured("Pause of the collector", "bytes alive"),
+    "agreement": Pictured("Messages until all agree", "resources"),
+    "together": Pictured("All work for 0.1 s", "resources", cost="seconds"),
+}
+
 if __name__ == "__main__":
-    sys.exit(main(FIGURES, sys.argv[1:]))
+    sys.exit(main(FIGURES, sys.argv[1:], pictured=PICTURED))

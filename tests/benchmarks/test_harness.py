@@ -94,6 +94,50 @@ def test_contenders_take_turns_and_nobody_is_always_first():
     assert samples == {"a": {"": [[1.0]] * 3}, "b": {"": [[1.0]] * 3}}
 
 
+def test_a_growth_is_that_of_all_sizes_in_each_round():
+    def squares(checkout, processes):
+        return lambda: {f"{n} cats": [1e-3 * n * n] for n in (1, 10, 100)}
+
+    def halves(checkout, processes):
+        return lambda: {f"{n} cats": [5.0 / n] for n in (1, 10, 100)}
+
+    sizes = {f"{n} cats": n for n in (1, 10, 100)}
+    figure = Figure(
+        "", {"a": squares, "b": halves}, rounds=2, sizes=sizes, targets={"a: ten times the size": "10x"}
+    )
+    *rows, a, b = rows_of(figure, HERE, silent)
+    assert [row.size for row in rows] == [1, 1, 10, 10, 100, 100]
+    assert (a.case, a.measured, a.unit, a.target) == ("ten times the size", "a", TIMES, "10x")
+    assert list(a.samples) == pytest.approx([100.0] * 2)
+    assert (b.case, b.measured, list(b.samples)) == ("", "b", pytest.approx([0.1] * 2))
+
+
+def test_sizes_may_be_those_of_contenders_or_of_a_part_of_a_case():
+    figure = Figure("", {"few": giving(1.0), "many": giving(2.0)}, rounds=1, sizes={"few": 1, "many": 10})
+    *_, row = rows_of(figure, HERE, silent)
+    assert (row.case, row.measured, row.samples) == ("ten times the size: case", "", [2.0])
+    opener = lambda checkout, processes: lambda: {f"{n} hosts: {w}": [n] for n in (1, 10) for w in "ab"}  # noqa: E731
+    sizes = {"1 hosts": 1, "10 hosts": 10}
+    *_, a, b = rows_of(Figure("", {"c": opener}, rounds=1, sizes=sizes), HERE, silent)
+    assert (a.case, b.case) == ("ten times the size: a", "ten times the size: b")
+
+
+def test_what_costs_nothing_or_has_one_size_does_not_grow():
+    figure = Figure("", {"few": giving(0.0), "many": giving(2.0)}, rounds=1, sizes={"few": 1, "many": 10})
+    assert [row.measured for row in rows_of(figure, HERE, silent)] == ["few", "many"]
+    figure = Figure("", {"few": giving(1.0)}, rounds=1, sizes={"few": 1})
+    assert [row.measured for row in rows_of(figure, HERE, silent)] == ["few"]
+
+
+def test_a_target_may_be_of_one_contender_in_one_case():
+    figure = Figure("", {}, targets={"a: case": "1x", "case": "2x", "b": "3x"})
+    assert [figure.target(*asked) for asked in (("case", "a"), ("case", "b"), ("other", "b"))] == [
+        "1x",
+        "2x",
+        "3x",
+    ]
+
+
 def test_a_contender_that_fails_leaves_the_others():
     figure = Figure("", {"a": failing, "b": giving(1.0)}, rounds=2)
     good, bad = rows_of(figure, HERE, silent)

@@ -17,10 +17,11 @@ class Output:
     """The pipe to the host: keeps what is told."""
 
     def __init__(self):
-        self._reader, self.told = MessageReader(), []
+        self._reader, self.told, self.writes = MessageReader(), [], []
 
     def write(self, data):
-        self.told += self._reader.feed(data)
+        self.writes.append(list(self._reader.feed(data)))
+        self.told += self.writes[-1]
 
     def is_closing(self):
         return False
@@ -46,8 +47,8 @@ def guard_of(kind, output):
     return Shell(plugin, output, LoopClock())
 
 
-def known_thing(*instructions):
+def known_thing(*instructions, telemetry=()):
     """What the host knows of that driver."""
-    manifest = Manifest(DeviceManifest("Thing", "thing", instructions, safe_states=("off",)))
+    manifest = Manifest(DeviceManifest("Thing", "thing", instructions, telemetry, safe_states=("off",)))
     files = {"Thing": ManifestFile("manifest.yaml", bytes(32))}
     return KnownDriver("thing", "lfield_thing:PLUGIN", {"Thing": manifest}, files, "")

@@ -6,8 +6,8 @@ boundary. `GiveUp` ends the file: what follows could only repeat the same mistak
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
+from typing import Self
 
 from lfield.lang import messages
 from lfield.lang.scanner import Kind, Scan, Token
@@ -160,15 +160,17 @@ class TokenStream:
 
     # --- nesting --------------------------------------------------------------------------------------
 
-    @contextmanager
-    def nested(self) -> Iterator[None]:
-        """One level deeper, up to MAX_NESTING."""
+    def nested(self) -> Self:
+        """One level deeper until its `with` ends, up to MAX_NESTING. No generator: every operator has one."""
         self.depth += 1
         self._limit(self.depth, self.current.span)
-        try:
-            yield
-        finally:
-            self.depth -= 1
+        return self
+
+    def __enter__(self) -> None:
+        """The level is there already."""
+
+    def __exit__(self, *_: object) -> None:
+        self.depth -= 1
 
     def bounded(self, expression: Expr) -> Expr:
         """The expression, if its tree is not too high for those who walk it."""

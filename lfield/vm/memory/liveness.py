@@ -1,27 +1,41 @@
 """Which slots a frame will still read: what it will not is cleared before a hop, so only live data travels.
 
-The classic backward data flow over one method, sets of slots as bits of an int. Computed for the methods a
-coordinator stands in when it first hops from them, then kept.
+The classic backward data flow over the basic blocks of one method, sets of slots as bits of an int. Solved
+for the methods a coordinator stands in when it first hops from them, then kept.
 """
 
 from __future__ import annotations
 
+from bisect import bisect_right
+from collections.abc import Sequence
+from functools import lru_cache
+from itertools import pairwise
+
 from lfield.bytecode.opcodes import BY_CODE, BY_NAME
-from lfield.bytecode.program import CATCH, FINALLY, MethodRecord, Program
+from lfield.bytecode.program import CATCH, FINALLY, Handler, MethodRecord, Program, Quad
 from lfield.vm.memory.block import Block
+from lfield.vm.memory.flow import Edge, Node, solve
 from lfield.vm.memory.layout import FRAME_CALLER, FRAME_RETURN, FRAME_SLOTS, THREAD_FRAME, THREAD_PC, Layouts
 from lfield.vm.memory.threads import threads
 
+#: Instructions of a basic block at most: to know what is live inside one is to go through it once more.
+LONGEST = 64
+#: Places where frames stood whose dead slots are kept: those asked for last.
+KEPT = 256
+
 _ENDS = frozenset(BY_NAME[name].code for name in ("jmp", "return", "rtn", "throw", "noreturn"))
+_JUMPS = frozenset(row.code for row in BY_CODE.values() if row.operands and row.operands[0].role == "L")
+_ALL = -1
 
 
 class Liveness:
-    """The live slots at every instruction of a program, method by method."""
+    """The dead slots at the instructions of a program where frames stand."""
 
     def __init__(self, program: Program, layouts: Layouts) -> None:
-        self.program = program
-        self.layouts = layouts
-        self._by_method: dict[int, list[int]] = {}
+        self._program = program
+        self._layouts = layouts
+        self._methods: dict[int, LiveSlots] = {}
+        self._dead = lru_cache(KEPT)(self._find_dead)
 
     def clear_dead(self, block: Block) -> None:
         """Set every reference that no frame of the block will read again to null, but the object's own."""
@@ -29,53 +43,119 @@ class Liveness:
         for thread in threads(block):
             frame, pc, inside_call = w[thread + THREAD_FRAME], w[thread + THREAD_PC], False
             while frame:
-                live = self._live(w[frame] >> 8 & 0xFFFFFF, pc, inside_call)
-                for offset in self.layouts.references(w[frame]):
-                    slot = offset - FRAME_SLOTS
-                    if slot > 0 and not live >> slot & 1:
-                        w[frame + offset] = 0
+                for offset in self._dead(w[frame] >> 8 & 0xFFFFFF, pc, inside_call):
+                    w[frame + offset] = 0
                 pc, inside_call = w[frame + FRAME_RETURN], True
                 frame = w[frame + FRAME_CALLER]
 
-    def _live(self, method: int, pc: int, inside_call: bool) -> int:
-        record = self.program.core.methods[method]
-        sets = self._by_method.get(method)
-        if sets is None:
-            sets = self._by_method[method] = self._solve(record)
-        live = sets[pc - record.entry]
+    def _find_dead(self, method: int, pc: int, inside_call: bool) -> tuple[int, ...]:
+        """The offsets of the references that a frame of a method will not read again."""
+        slots = self._methods.get(method)
+        if slots is None:
+            slots = self._methods[method] = LiveSlots(self._program, method)
         # A callee may also throw: then the handlers around its call go on.
-        return live | self._caught(record, sets, pc - 1) if inside_call else live
+        live = slots.before(pc) | (slots.caught(pc - 1) if inside_call else 0)
+        references = self._layouts.frame_references[method]
+        return tuple(at for at in references if at > FRAME_SLOTS and not live >> at - FRAME_SLOTS & 1)
 
-    def _caught(self, record: MethodRecord, sets: list[int], pc: int) -> int:
+
+class LiveSlots:
+    """The live slots before every basic block of a method, as bits.
+
+    The nodes of the flow are the blocks, then the sets of handlers that are around any: what their targets
+    read is live before every instruction inside.
+    """
+
+    def __init__(self, program: Program, method: int) -> None:
+        self._quads, record = program.quads, program.core.methods[method]
+        handlers = [handler for handler in record.handlers if handler.kind in (CATCH, FINALLY)]
+        self._starts = _leaders(record, handlers, self._quads)
+        self._ends = (*self._starts[1:], record.end)
+        around = _around(self._starts, handlers)
+        number = {found: len(self._starts) + i for i, found in enumerate(dict.fromkeys(around))}
+        #: The node of the handlers around each block.
+        self._caught = [number[found] for found in around]
+        self._sets = solve(
+            [self._block(i) for i in range(len(self._starts))]
+            + [Node(0, [self._handler(handlers[i]) for i in found]) for found in number]
+        )
+
+    def before(self, pc: int) -> int:
+        """What may be read from an instruction on."""
+        block = self._at(pc)
+        reads, keeps = self._through(pc, self._ends[block])
+        after = 0
+        for to in self._behind(block):
+            after |= self._sets[to]
+        return reads | after & keeps | self._sets[self._caught[block]]
+
+    def caught(self, pc: int) -> int:
         """What the handlers around an instruction will read."""
-        live = 0
-        for handler in record.handlers:
-            if handler.start <= pc < handler.end and handler.kind in (CATCH, FINALLY):
-                live |= sets[handler.target - record.entry] & ~(1 << handler.slot)
-        return live
+        return self._sets[self._caught[self._at(pc)]]
 
-    def _solve(self, record: MethodRecord) -> list[int]:
-        sets = [0] * (record.end - record.entry + 1)
-        changed = True
-        while changed:
-            changed = False
-            for pc in range(record.end - 1, record.entry - 1, -1):
-                live = self._before(record, sets, pc)
-                if live != sets[pc - record.entry]:
-                    sets[pc - record.entry] = live
-                    changed = True
-        return sets
+    def _at(self, pc: int) -> int:
+        """The block of an instruction."""
+        return bisect_right(self._starts, pc) - 1
 
-    def _before(self, record: MethodRecord, sets: list[int], pc: int) -> int:
-        quad = self.program.quads[pc]
-        row = BY_CODE[quad.op]
-        live = 0 if quad.op in _ENDS else sets[pc + 1 - record.entry]
-        reads = 0
-        for operand, value in zip(row.operands, quad[1:], strict=False):
-            if operand.role == "D":
-                live &= ~(1 << value)
-            elif operand.role in ("S", "V") and value >= 0:
-                reads |= 1 << value
-            elif operand.role == "L":
-                live |= sets[value - record.entry]
-        return live | reads | self._caught(record, sets, pc)
+    def _block(self, block: int) -> Node:
+        reads, keeps = self._through(self._starts[block], self._ends[block])
+        edges = [Edge(to, keeps) for to in self._behind(block)]
+        return Node(reads, [*edges, Edge(self._caught[block], _ALL)])
+
+    def _handler(self, handler: Handler) -> Edge:
+        """A handler reads what its target reads, but for what was thrown."""
+        return Edge(self._at(handler.target), ~(1 << handler.slot))
+
+    def _behind(self, block: int) -> list[int]:
+        """The blocks that may follow a block."""
+        last = self._quads[self._ends[block] - 1]
+        following = [self._at(last.a)] if last.op in _JUMPS else []
+        return following if last.op in _ENDS else [*following, block + 1]
+
+    def _through(self, start: int, end: int) -> tuple[int, int]:
+        """What instructions read that they have not written, and all that they do not write."""
+        reads, keeps = 0, _ALL
+        for pc in range(end - 1, start - 1, -1):
+            read, written = _touched(self._quads[pc])
+            reads = reads & ~written | read
+            keeps &= ~written
+        return reads, keeps
+
+
+def _touched(quad: Quad) -> tuple[int, int]:
+    """The slots that an instruction reads, and those that it writes then."""
+    read = written = 0
+    for operand, value in zip(BY_CODE[quad.op].operands, quad[1:], strict=False):
+        if operand.role == "D":
+            written |= 1 << value
+        elif operand.role in ("S", "V") and value >= 0:
+            read |= 1 << value
+    return read, written
+
+
+def _leaders(record: MethodRecord, handlers: Sequence[Handler], quads: Sequence[Quad]) -> list[int]:
+    """Where the basic blocks of a method begin: no jump leads into one, no handler begins or ends in one."""
+    found = {record.entry, record.end}
+    for handler in handlers:
+        found |= {handler.start, handler.end, handler.target}
+    for pc in range(record.entry, record.end):
+        if quads[pc].op in _JUMPS:
+            found.add(quads[pc].a)
+        if quads[pc].op in _JUMPS or quads[pc].op in _ENDS:
+            found.add(pc + 1)
+    return [pc for start, end in pairwise(sorted(found)) for pc in range(start, end, LONGEST)]
+
+
+def _around(starts: Sequence[int], handlers: Sequence[Handler]) -> list[tuple[int, ...]]:
+    """Which of the handlers are around each block."""
+    bounds: dict[int, list[int]] = {}
+    for i, handler in enumerate(handlers):
+        bounds.setdefault(handler.start, []).append(i)
+        bounds.setdefault(handler.end, []).append(i)
+    found: list[tuple[int, ...]] = []
+    inside: tuple[int, ...] = ()
+    for start in starts:
+        if start in bounds:
+            inside = tuple(sorted(set(inside).symmetric_difference(bounds[start])))
+        found.append(inside)
+    return found

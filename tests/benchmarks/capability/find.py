@@ -43,6 +43,7 @@ def asking(count: int) -> Opener:
 FIGURE = Figure(
     "A find of a capability from L",
     {f"among {count} agents": asking(count) for count in (250, 1000)},
+    sizes={f"among {count} agents": count for count in (250, 1000)},
     targets={"among 1000 agents": "5.00 ms"},
     notes=(f"rounds of {QUERIES} queries, a condition of 5 parts that all agents fulfil",),
     between=("among 250 agents",),

@@ -14,6 +14,7 @@ from pathlib import Path
 
 from harness.checkout import Checkout, CheckoutError
 from harness.figure import Figure, Row, rows_between, rows_of
+from harness.picture import Pictured, caption, draw, fields_of
 from harness.samples import Tick, sentence
 from harness.table import Progress, print_figure
 from rich.console import Console
@@ -66,6 +67,10 @@ class Bench:
             self.out.print("\nnot compared, as it uses the modules of one checkout:", figure.title)
         return rows_between(figure, self.own, self.other, SESSIONS, tick)
 
+    def picture(self, pictured: Mapping[str, Pictured]) -> str:
+        """What has been measured so far, drawn. Raises ValueError if none of it can be."""
+        return draw(fields_of(self.kept, pictured), caption(self.about))
+
     def _keep(self, name: str, rows: Sequence[Row]) -> None:
         case = ""
         for row in rows:
@@ -79,11 +84,20 @@ class Bench:
             self.path.write_text(json.dumps(saved, indent=1) + "\n", encoding="utf-8")
 
 
-def main(modules: Mapping[str, str], words: Sequence[str], out: Console | None = None) -> int:
-    """Measure and print; `modules` has the module of each figure. Returns the exit status."""
+def main(
+    modules: Mapping[str, str],
+    words: Sequence[str],
+    out: Console | None = None,
+    pictured: Mapping[str, Pictured] | None = None,
+) -> int:
+    """Measure and print; `modules` has the module of each figure, `pictured` those of a picture.
+
+    Returns the exit status.
+    """
     parser = argparse.ArgumentParser(prog="make bench", description="Prints the figures of lfield.")
     parser.add_argument("--only", metavar="NAMES", default="", help=f"some of {', '.join(modules)}")
     parser.add_argument("--save", metavar="FILE", type=Path, help="also write the rows as JSON")
+    parser.add_argument("--picture", metavar="FILE", type=Path, help="also draw those with sizes, an SVG")
     parser.add_argument("--against", metavar="CHECKOUT", type=Path, help="compare with another checkout")
     parser.add_argument("--rounds", metavar="N", type=int, default=0, help="as many of each figure")
     args = parser.parse_args(words)
@@ -107,6 +121,8 @@ def main(modules: Mapping[str, str], words: Sequence[str], out: Console | None =
     except KeyboardInterrupt:
         print("interrupted: what is above is all that was measured", file=sys.stderr)
         return 130
+    if args.picture is not None:
+        args.picture.write_text(bench.picture(pictured or {}), encoding="utf-8")
     if bench.failed:
         print(f"{bench.failed} of {len(bench.kept)} rows could not be measured", file=sys.stderr)
         return 1

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import os
+import re
 import subprocess
 import sys
 import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Self
 
@@ -22,7 +24,7 @@ class CheckoutError(Exception):
     """A folder that cannot be measured; one sentence."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Checkout:
     """Where it is, and the Python that runs it."""
 
@@ -67,9 +69,21 @@ class Checkout:
     @property
     def keeping_nothing(self) -> tuple[str, ...]:
         """The options of `lfield up` for a host without a journal: none where it has none anyway."""
+        return ("--volatile",) if "--volatile" in self._options_of_up else ()
+
+    @property
+    def engines(self) -> Mapping[str, tuple[str, ...]]:
+        """The engines that a host of it can run programs by, and the options of `lfield up` for each."""
+        found = re.search(r"--engine \{([\w,]+)\}", self._options_of_up)
+        names = found[1].split(",") if found else []
+        chosen = {name: ("--engine", name) for name in names if name != "auto"}
+        return chosen or {"reference": ()}
+
+    @cached_property
+    def _options_of_up(self) -> str:
         asked = (self.python, "-m", "lfield", "up", "--help")
         told = subprocess.run(asked, capture_output=True, text=True, cwd=self.root, env=self.environment)
-        return ("--volatile",) if "--volatile" in told.stdout else ()
+        return told.stdout
 
     def run(self, processes: Processes, *words: str, merged: bool = False) -> Child:
         """Start a Python command of it, in its folder."""
@@ -90,7 +104,8 @@ class Checkout:
 class Mission:
     """An L program and who runs it, written to a folder; `agents` are lines of a deployment file.
 
-    Hosts keep nothing, unless it is to be `kept`: then in journals in that folder.
+    Hosts keep nothing, unless it is to be `kept`: then in journals in that folder. `options` are others of
+    `lfield up`.
     """
 
     folder: Path
@@ -98,6 +113,7 @@ class Mission:
     agents: Sequence[str]
     devices: str = ""
     kept: bool = False
+    options: Sequence[str] = ()
     addresses: Mapping[str, str] = field(init=False)
 
     def __post_init__(self) -> None:
@@ -131,7 +147,8 @@ class Mission:
     def host(self, checkout: Checkout, processes: Processes, host: str, *, merged: bool = False) -> Child:
         """Start the process of one; with `merged` its log is read, too."""
         memory = ("--state", str(self.folder / "state")) if self.kept else checkout.keeping_nothing
-        return checkout.lfield(processes, "up", *self.words, *memory, "--host", host, merged=merged)
+        words = *self.words, *memory, *self.options
+        return checkout.lfield(processes, "up", *words, "--host", host, merged=merged)
 
 
 def paced_mission(
@@ -142,8 +159,9 @@ def paced_mission(
     devices: str = "",
     *,
     kept: bool = False,
+    options: Sequence[str] = (),
 ) -> Paced:
     """A mission that measures itself in rounds; the first host is the one that writes."""
     text = program.read_text(encoding="utf-8")
-    mission = Mission(processes.folder(), text, agents, devices, kept)
+    mission = Mission(processes.folder(), text, agents, devices, kept, options)
     return Paced(mission.up(checkout, processes))

@@ -9,6 +9,7 @@ from functools import partial
 from harness.checkout import Checkout
 from harness.processes import Processes
 from harness.samples import Contender, Samples, Tick, flat, in_turns, median, pair_ratios, percentile
+from harness.tenfold import series, tenfold
 from harness.words import SECONDS, TIMES
 
 #: Makes a contender of a checkout ready; what it starts ends with `Processes`.
@@ -17,11 +18,16 @@ Opener = Callable[[Checkout, Processes], Contender]
 OwnRows = Callable[[Checkout, int, Tick], Iterator["Row"]]
 #: What a later version may cost against an earlier one.
 ALLOWED = "1.10x"
+#: The case of the rows that say how a cost grows.
+GROWTH = "ten times the size"
 
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """A line: a case, what was measured, its samples in `unit`; or, with `error`, why there are none."""
+    """A line: a case, what was measured, its samples in `unit`; or, with `error`, why there are none.
+
+    `size` is how much of something it was measured with, 0 where that is no question.
+    """
 
     case: str
     measured: str
@@ -30,6 +36,7 @@ class Row:
     ratio: float | None = None
     target: str = ""
     error: str = ""
+    size: float = 0
 
     def numbers(self) -> dict[str, float]:
         """Minimum, median, 99th percentile and maximum."""
@@ -43,7 +50,8 @@ class Row:
 class Figure:
     """What `make bench` shows under one name.
 
-    `base` names the contenders whose fastest is ratio 1. `units` and `targets` are by case or by contender.
+    `base` names the contenders whose fastest is ratio 1. `units` and `targets` are by case or by contender, a
+    target by both, `contender: case`, too. `sizes` are those of cases, up to a colon, or of contenders.
     `between` names the contenders by which two checkouts can be compared: those that use commands only.
     `own_rows` makes the rows instead of contenders, where what fails is a part of the figure.
     `ratios` are who, to whom, and what to reach: a line for each, with the least and the greatest round.
@@ -55,6 +63,7 @@ class Figure:
     rounds: int = 10
     units: Mapping[str, str] = field(default_factory=dict)
     targets: Mapping[str, str] = field(default_factory=dict)
+    sizes: Mapping[str, float] = field(default_factory=dict)
     notes: Sequence[str] = ()
     between: Sequence[str] = ()
     own_rows: OwnRows | None = None
@@ -66,7 +75,12 @@ class Figure:
 
     def target(self, case: str, name: str) -> str:
         """What a contender must keep to in a case."""
-        return self.targets.get(case) or self.targets.get(name) or ""
+        found = (self.targets.get(key) for key in (f"{name}: {case}", case, name))
+        return next(filter(None, found), "")
+
+    def size(self, case: str, name: str) -> float:
+        """Of what a contender was measured with in a case; 0 where there are no sizes."""
+        return self.sizes.get(case.partition(": ")[0]) or self.sizes.get(name) or 0
 
 
 def rows_of(figure: Figure, checkout: Checkout, tick: Tick) -> Iterator[Row]:
@@ -83,8 +97,10 @@ def rows_of(figure: Figure, checkout: Checkout, tick: Tick) -> Iterator[Row]:
             if case in of_case:
                 ratio = _ratio_to_fastest(samples, figure.base, name, case)
                 unit, target = figure.unit(case, name), figure.target(case, name)
-                yield Row(shown, name, unit, flat(of_case[case]), ratio, target)
+                size = figure.size(case, name)
+                yield Row(shown, name, unit, flat(of_case[case]), ratio, target, size=size)
                 shown = ""
+    yield from _growths(figure, samples)
     yield from (Row("", name, error=error) for name, error in errors.items())
     yield from _ratios(figure, samples)
 
@@ -98,6 +114,17 @@ def _ratios(figure: Figure, samples: Samples) -> Iterator[Row]:
                 found = pair_ratios(samples[who][case], samples[whom][case])
                 yield Row(shown, f"{who} / {whom}", TIMES, found, target=target)
                 shown = ""
+
+
+def _growths(figure: Figure, samples: Samples) -> Iterator[Row]:
+    """How the cost of each contender grows, where it was measured at several sizes."""
+    shown = ""
+    for one in series(samples, figure.sizes):
+        if grown := tenfold(one.points):
+            case = f"{GROWTH}: {one.case}" if one.case else GROWTH
+            target = figure.targets.get(f"{one.name}: {case}") or figure.targets.get(case, "")
+            yield Row(case if case != shown else "", one.name, TIMES, grown, target=target)
+            shown = case
 
 
 def rows_between(figure: Figure, own: Checkout, other: Checkout, sessions: int, tick: Tick) -> Iterator[Row]:

@@ -81,5 +81,6 @@ FIGURE = Figure(
     base=("broadcast: N(N-1) messages",),
     rounds=1,
     units=dict.fromkeys(_CASES, COUNT),
+    sizes=_CASES,
     targets={"lfield: hops": "2N"},
 )

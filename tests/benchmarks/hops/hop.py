@@ -80,6 +80,7 @@ FIGURE = Figure(
     },
     base=("Pyro5, method call", "RPyC, method call", "gRPC, method call"),
     rounds=8,
+    sizes={f"{count} B": count for count in SIZES},
     ratios=(
         ("lfield: a hop", "RPyC, method call", "0.60x"),
         ("lfield: a hop", "TCP, echo", "4.00x"),

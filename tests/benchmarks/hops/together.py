@@ -76,5 +76,6 @@ FIGURE = Figure(
     base=("one after another",),
     rounds=3,
     units={f"N = {count}: hops": COUNT for count in SIZES},
+    sizes={f"N = {count}": count for count in SIZES},
     targets={"together": "at most 2N hops"},
 )

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from math import sqrt
 
 
 class Tree:
@@ -31,11 +30,68 @@ class Link:
         self.next = rest
 
 
-class Body:
-    """A mass in the plane."""
+class Queue:
+    """First in, first out."""
 
-    def __init__(self, x: float, y: float, vx: float, vy: float, mass: float) -> None:
-        self.x, self.y, self.vx, self.vy, self.mass = x, y, vx, vy, mass
+    def __init__(self) -> None:
+        self.first: Link | None = None
+        self.last: Link | None = None
+
+    def put(self, number: int) -> None:
+        """Add one at the end."""
+        link = Link(number, None)
+        if self.last is None:
+            self.first = link
+        else:
+            self.last.next = link
+        self.last = link
+
+    def take(self) -> int:
+        """The one that has waited longest."""
+        link = self.first
+        self.first = link.next  # type: ignore[union-attr]  # it has one
+        if self.first is None:
+            self.last = None
+        return link.number  # type: ignore[union-attr]  # as above
+
+
+class Counter:
+    """Does what it is told."""
+
+    def __init__(self) -> None:
+        self.value = self.turns = 0
+
+    def add(self, number: int) -> None:
+        """Adds."""
+        self.value = self.value + number
+
+    def subtract(self, number: int) -> None:
+        """Subtracts."""
+        self.value = self.value - number
+
+    def halve(self) -> None:
+        """Halves, towards zero as L does."""
+        self.value = self.value // 2 if self.value >= 0 else -(-self.value // 2)
+
+    def swap(self) -> None:
+        """Exchanges value and turns."""
+        kept = self.value
+        self.value = self.turns
+        self.turns = kept
+
+    def turn(self) -> None:
+        """Counts."""
+        self.turns = self.turns + 1
+
+
+def loop(n: int) -> int:
+    """A loop with arithmetic."""
+    x = 1
+    y = 0.0
+    for i in range(n):
+        x = (x * 31 + i) % 65521
+        y = y * 0.5 + x
+    return x + int(y)
 
 
 def fib(n: int) -> int:
@@ -80,92 +136,13 @@ def matrix(n: int) -> int:
     return int(trace)
 
 
-def trees(depth: int, many: int) -> int:
+def objects(depth: int, many: int) -> int:
     """Objects that are soon garbage."""
     nodes = 0
     for _ in range(many):
         tree = Tree(depth)
         nodes = nodes + tree.count()
     return nodes
-
-
-def links(length: int, walks: int) -> int:
-    """References from object to object."""
-    first: Link | None = None
-    for i in range(length):
-        first = Link(i, first)
-    total = 0
-    for _ in range(walks):
-        link = first
-        while link is not None:
-            total = total + link.number
-            link = link.next
-    return total
-
-
-def bodies(count: int, steps: int) -> int:
-    """Reals in fields of objects."""
-    everything = [Body(i * 2.0, i * i * 0.5, 0.1 * i, 0.0 - 0.05 * i, 1.0 + i) for i in range(count)]
-    for _ in range(steps):
-        for i in range(count):
-            a = everything[i]
-            for j in range(i + 1, count):
-                b = everything[j]
-                dx = a.x - b.x
-                dy = a.y - b.y
-                square = dx * dx + dy * dy + 0.01
-                pull = 0.001 / (square * sqrt(square))
-                a.vx = a.vx - dx * b.mass * pull
-                a.vy = a.vy - dy * b.mass * pull
-                b.vx = b.vx + dx * a.mass * pull
-                b.vy = b.vy + dy * a.mass * pull
-        for a in everything:
-            a.x = a.x + a.vx * 0.001
-            a.y = a.y + a.vy * 0.001
-    return int(everything[0].x * 1000000.0) + int(everything[count - 1].y * 1000000.0)
-
-
-def mandelbrot(side: int, most: int) -> int:
-    """Real arithmetic in local variables."""
-    total = 0
-    for row in range(side):
-        for column in range(side):
-            cx = 3.0 * column / side - 2.0
-            cy = 2.0 * row / side - 1.0
-            x = 0.0
-            y = 0.0
-            n = 0
-            while n < most and x * x + y * y < 4.0:
-                following = x * x - y * y + cx
-                y = 2.0 * x * y + cy
-                x = following
-                n = n + 1
-            total = total + n
-    return total
-
-
-def _safe(columns: list[int], row: int, column: int) -> bool:
-    for i in range(row):
-        other = columns[i]
-        if other == column or other - column == row - i or column - other == row - i:
-            return False
-    return True
-
-
-def _place(columns: list[int], row: int, n: int) -> int:
-    if row == n:
-        return 1
-    found = 0
-    for column in range(n):
-        if _safe(columns, row, column):
-            columns[row] = column
-            found = found + _place(columns, row + 1, n)
-    return found
-
-
-def queens(n: int) -> int:
-    """Calls with an array, loops and conditions."""
-    return _place([0] * n, 0, n)
 
 
 def sort(n: int) -> int:
@@ -185,7 +162,7 @@ def sort(n: int) -> int:
     return numbers[0] + numbers[n // 2] + numbers[n - 1]
 
 
-def text(n: int) -> int:
+def strings(n: int) -> int:
     """Strings made, searched and read."""
     total = 0
     for i in range(n):
@@ -194,16 +171,77 @@ def text(n: int) -> int:
     return total
 
 
+def exceptions(n: int) -> int:
+    """Exceptions of the program and of the machine, through a call and from beside."""
+    few = [0] * 4
+    total = 0
+    for i in range(n):
+        try:
+            total = total + checked(i)
+            if i % 5 == 0:
+                total = total + few[i]
+        except IndexError:
+            total = total + 2
+        except ValueError:
+            total = total + 1
+    return total
+
+
+def checked(i: int) -> int:
+    """What an exception goes through."""
+    return risky(i) + 1
+
+
+def risky(i: int) -> int:
+    """Every third time it throws."""
+    if i % 3 == 0:
+        raise ValueError("a third")
+    return i
+
+
+def dispatch(n: int) -> int:
+    """One of five methods, by a number."""
+    counter = Counter()
+    seed = 7
+    for i in range(n):
+        seed = (seed * 1103 + 12345) % 65536
+        what = seed % 5
+        if what == 0:
+            counter.add(seed)
+        elif what == 1:
+            counter.subtract(i)
+        elif what == 2:
+            counter.halve()
+        elif what == 3:
+            counter.swap()
+        else:
+            counter.turn()
+    return counter.value + counter.turns
+
+
+def queues(n: int) -> int:
+    """What is put in is taken out in its order."""
+    queue = Queue()
+    for i in range(50):
+        queue.put(i)
+    total = 0
+    for i in range(n):
+        number = queue.take()
+        total = total + number
+        queue.put((number * 7 + i) % 1000)
+    return total
+
+
 #: With the sizes of kernels.L, in its order.
 KERNELS: dict[str, Callable[[], int]] = {
+    "loop": lambda: loop(20000),
     "fib": lambda: fib(18),
+    "sort": lambda: sort(250),
     "sieve": lambda: sieve(12000),
     "matrix": lambda: matrix(22),
-    "trees": lambda: trees(7, 20),
-    "links": lambda: links(800, 20),
-    "bodies": lambda: bodies(5, 60),
-    "mandelbrot": lambda: mandelbrot(28, 60),
-    "queens": lambda: queens(6),
-    "sort": lambda: sort(250),
-    "text": lambda: text(1200),
+    "strings": lambda: strings(1200),
+    "objects": lambda: objects(7, 20),
+    "exceptions": lambda: exceptions(4000),
+    "dispatch": lambda: dispatch(8000),
+    "queues": lambda: queues(6000),
 }

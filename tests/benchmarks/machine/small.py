@@ -37,17 +37,21 @@ coordinator First {
 """
 
 
-def small_host(measure: Measure, loop: str = "parked", compiled: bool = False) -> Opener:
-    """Every round is a host of its own, that compiles L text at its start or runs a program file."""
+def small_host(measure: Measure, loop: str = "parked", compiled: bool = False, engine: str = "") -> Opener:
+    """Every round is a host of its own, that compiles L text at its start or runs a program file.
+
+    It has the engine that it takes by itself, if none is said.
+    """
 
     def opener(checkout: Checkout, processes: Processes) -> Contender:
         agents = "//Part:part@here", "//First:first@here"
         mission = Mission(processes.folder(), _PROGRAM % _LOOPS[loop], agents)
-        words = [*mission.words, "--host", "here"]
+        words = [*mission.words, *checkout.keeping_nothing, "--host", "here"]
         if compiled:
             built = mission.folder / "mission.lb"
             checkout.lfield(processes, "build", str(mission.source), "-o", str(built)).wait()
             words += ["--program", str(built)]
+        words += checkout.engines[engine] if engine else ()
         return lambda: measure(checkout, words)
 
     return opener

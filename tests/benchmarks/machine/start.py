@@ -1,4 +1,4 @@
-"""How long a host without devices takes to start, beside the bare Python that is part of it.
+"""How long a host without devices takes to start, by engine, beside the bare Python that is part of it.
 
 Python keeps compiled modules, as it does after the first start of an installed program.
 """
@@ -9,7 +9,7 @@ import time
 from collections.abc import Sequence
 
 from harness.checkout import Checkout
-from harness.figure import Figure
+from harness.figure import Figure, Opener
 from harness.paced import Round
 from harness.processes import Processes
 from harness.samples import Contender
@@ -34,14 +34,18 @@ def bare_python(checkout: Checkout, processes: Processes) -> Contender:
     return start
 
 
+def _hosts() -> dict[str, Opener]:
+    return {
+        f"from {told}, {engine}": small_host(start, compiled=compiled, engine=engine)
+        for engine in sorted(Checkout.own().engines)
+        for compiled, told in ((False, "L text"), (True, "a program file"))
+    }
+
+
 FIGURE = Figure(
     "The start of a host without devices",
-    {
-        "from L text": small_host(start),
-        "from a program file": small_host(start, compiled=True),
-        "bare Python that prints": bare_python,
-    },
+    {**_hosts(), "bare Python that prints": bare_python},
     rounds=9,
     targets={"to the first portal call": "0.7 s"},
-    between=("from L text", "from a program file"),
+    between=tuple(_hosts()),
 )

@@ -56,6 +56,7 @@ FIGURE = Figure(
     {f"lfield: {told}": team(kind) for kind, told in KINDS.items()},
     rounds=1,
     units=UNITS,
+    sizes={f"{hosts} hosts": hosts for hosts in TEAMS},
     notes=(
         "means of all hosts, on simulated computers without devices; leases of 2 s, of all hosts or of nine",
         "nobody confirms an arrival where it has left again in the same moment, as here if nothing is kept",

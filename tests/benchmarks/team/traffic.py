@@ -42,6 +42,7 @@ FIGURE = Figure(
     {f"{hosts} hosts": team(hosts) for hosts in TEAMS},
     rounds=1,
     units={MESSAGES: COUNT, BYTES: RATE, START: SECONDS, SECOND: SECONDS},
+    sizes={f"{hosts} hosts": hosts for hosts in TEAMS},
     targets={MESSAGES: "8", SECOND: "1 s"},
     notes=("whole hosts on simulated computers, without devices; both sides of a link count what they send",),
     between=("3 hosts", "30 hosts"),
