@@ -55,8 +55,7 @@ from lfield.vm.world import World
 #: Instructions a thread may run before the next one's turn.
 SLICE = 2000
 #: How much one call of `run` does before it lets the host look at the world: the instructions of so many
-#: slices, on the reference engine, in so many turns at most. Who calls portals has many turns, and each of
-#: them does little.
+#: slices, on the reference engine, in so many turns at most: whoever calls portals does little in each.
 ROUND, TURNS = 20, 100
 
 
@@ -97,8 +96,7 @@ class Machine:
         cancelling = self._cancelling = Cancelling(scheduler)
         self._liveness = Liveness(program, scheduler.layouts)
         self.questions = Questions(scheduler)
-        types = [member.type for member in team]
-        self._soundness = Soundness(program, scheduler.layouts, types, self.engine.space)
+        self._soundness = Soundness(program, scheduler.layouts, [m.type for m in team], self.engine.space)
         begun = self._begun = BegunCalls(scheduler, cancelling, self._soundness)
         #: The calls that were begun here, by what is told of them (see `BegunCalls`).
         self.begun_calls, self.fetched, self.kept_result = begun.calls, begun.fetched, begun.kept
@@ -356,10 +354,8 @@ class Machine:
         """So many instructions of one thread, and whatever its exit asks for; how many it has taken."""
         if agent.ended or agent.frozen:
             return 0
-        scheduler = self._scheduler
-        block = agent.block
-        place = place_of(block, thread)
-        leave = self.engine.run(block, place, budget, agent.limits, agent.readings)
+        scheduler, place = self._scheduler, place_of(agent.block, thread)
+        leave = self.engine.run(agent.block, place, budget, agent.limits, agent.readings)
         used = budget - self.engine.unused
         if self.attached.meter is not None:
             self.attached.meter(used)
