@@ -118,6 +118,7 @@ class Bindings:
     """Limits of agents, and devices by agent and field; times are in seconds.
 
     `attributes` is what they state of single agents in the words of the registry, a set as its members.
+    `engine` says what runs the program (`lfield.vm.wasm.choice`).
     """
 
     agents: Mapping[str, Limits] = field(default_factory=dict)
@@ -129,6 +130,7 @@ class Bindings:
     attributes: Mapping[str, Mapping[str, Stated]] = field(default_factory=dict)
     frames: Frames = field(default_factory=Frames)
     reservations: ReservationTimes = field(default_factory=ReservationTimes)
+    engine: str = "auto"
 
     def reserved_wait(self, agent: str) -> float:
         """For how many seconds others wait for a resource that somebody has reserved."""

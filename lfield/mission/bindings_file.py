@@ -23,6 +23,7 @@ unreachable_after: 10                      # seconds until UnreachableResourceEx
 frame: {origin: {latitude: 47.3977, longitude: 8.5456, altitude: 488.0}}  # the team's place on the Earth
 hosts: {hall: {frame: {north: 12.0, east: 4.0}}}   # where its agents are in the team's frame
 silence: 0.2                               # seconds without the host before its devices go safe (fakes: 2)
+engine: auto                               # what runs the program: auto, wasm or reference
 recovery: {lease: 2, members: [a, b, c]}   # of coordinators that call heartbeatInterval: who
                                            # decides that one is lost, and the seconds it may run unheard
 reservations: {lease: 6, wait: 5}          # seconds that a `reserve` lasts without a sign of its holder,
@@ -80,6 +81,7 @@ from lfield.text.suggest import did_you_mean
 from lfield.text.yaml_fields import Fields
 from lfield.text.yaml_source import Entry, Listing, Node, Scalar, describe, read
 from lfield.vm.contract import MAX_TIDY, Limits
+from lfield.vm.wasm.choice import CHOICES
 
 _UNITS = {"B": 1, "KiB": 1 << 10, "MiB": 1 << 20, "GiB": 1 << 30}
 _SIZE = re.compile(r"([0-9]{1,12})\s*(B|KiB|MiB|GiB)")
@@ -212,6 +214,7 @@ class BindingsReader:
         defaults = self._limits(section, Limits())
         section.done()
         unreachable_after = top.number("unreachable_after", 10.0, minimum=0.1, maximum=86400.0)
+        engine = top.text("engine", "auto", choices=CHOICES)
         silence = top.number("silence", SILENCE, minimum=0.1, maximum=10.0)
         recovery = self._recovery(top.section("recovery"), silence)
         reservations = _reservations(top.section("reservations"))
@@ -250,6 +253,7 @@ class BindingsReader:
             stated,
             frames,
             reservations,
+            engine,
         )
 
     def _stated(self, fields: Fields) -> dict[str, Stated]:

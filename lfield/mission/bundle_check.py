@@ -26,6 +26,7 @@ from lfield.mission.bindings import (
 )
 from lfield.mission.team import Row
 from lfield.vm.contract import MAX_TIDY, Limits
+from lfield.vm.wasm.choice import CHOICES
 from lfield.wire.fields import MAX_NAME
 
 #: Agents are counted in 16 bits in the reports of hosts.
@@ -139,6 +140,8 @@ def _can_be_ended(instruction: Instruction, device: DeviceManifest) -> bool:
 def _limits(bindings: Bindings) -> Iterator[str]:
     if not (_finite([bindings.unreachable_after]) and 0.0 < bindings.silence <= 10.0):
         yield "the times of its bindings make no sense"
+    if bindings.engine not in CHOICES:
+        yield "its bindings name no engine"
     if not all(map(_sound, (bindings.defaults, *bindings.agents.values()))):
         yield "the limits of an agent make no sense"
 

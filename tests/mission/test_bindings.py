@@ -102,6 +102,7 @@ def test_how_long_a_reservation_lasts_and_others_wait(written, plugins):
         ("system: 3", "system: 300", "error[Y113]: 'system' must be from 1 to 254, not 300"),
         ("system: 3", "system: three", "error[Y112]: 'system' must be a whole number, not the text 'three'"),
         ("system: 3", "sistem: 3", "hint: did you mean 'system'?"),
+        ("agents:\n", "engine: wasmtime\nagents:\n", ":1:9: error[Y113]: 'engine' is one of auto, wasm,"),
         ("ttl: 0.3", "ttl: 0", "error[Y113]: 'ttl' must be from 0.02 to 60, not 0"),
         ("safe_state: hold", "safe_state: hover", "error[Y113]: 'safe_state' is one of land, hold, return"),
         ("{speed: 5}", "{speed: fast}", "error[Y112]: 'speed' must be a number"),
@@ -187,6 +188,11 @@ def test_a_simulated_host_may_be_silent_for_long_whatever_is_written_for_the_fie
         read_bindings(written(GOOD + "silence: 9\n"), NEEDED, plugins, simulate=True).silence == SIM_SILENCE
     )
     assert read_bindings(None, NEEDED, plugins, simulate=True).silence == SIM_SILENCE
+
+
+def test_the_file_says_what_runs_the_program(written, plugins):
+    assert read_bindings(written(GOOD), NEEDED, plugins).engine == "auto"
+    assert read_bindings(written(GOOD + "engine: reference\n"), NEEDED, plugins).engine == "reference"
 
 
 def test_no_such_file(plugins, tmp_path):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import dataclasses
 import os
+import sys
 
 import pytest
 
@@ -12,6 +13,7 @@ from lfield.clock import SystemClock
 from lfield.driver.plugins import Plugins
 from lfield.operator.doctor import Finding, drivers, endpoints, system
 from lfield.testing.driver_bench import bind
+from lfield.testing.engines import NEEDED
 
 
 @pytest.fixture
@@ -38,6 +40,23 @@ def one(findings, words):
 
 def test_a_computer_without_ports(findings):
     assert one(findings(), "no serial ports").state == "ok"
+
+
+@pytest.mark.parametrize(
+    ("installed", "state", "words"), [(True, "ok", "wasmtime "), (False, "note", "the reference engine runs")]
+)
+def test_what_runs_programs_here(findings, monkeypatch, installed, state, words):
+    monkeypatch.setattr("lfield.operator.doctor.has_wasm", lambda: installed)
+    if installed:
+        pytest.importorskip("wasmtime", reason=NEEDED)
+    assert one(findings(), words).state == state
+
+
+def test_a_wasmtime_of_another_processor_is_told(findings, monkeypatch):
+    monkeypatch.setattr("lfield.operator.doctor.has_wasm", lambda: True)
+    monkeypatch.setitem(sys.modules, "wasmtime", None)
+    monkeypatch.setattr("importlib.metadata.version", lambda name: "50.0.1")
+    assert one(findings(), "wasmtime cannot be used").state == "warning"
 
 
 def test_a_latency_timer_that_costs_time_is_told_with_its_cure(findings, tmp_path):

@@ -73,8 +73,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--engine",
         choices=("auto", "wasm", "reference"),
-        default="auto",
-        help="what runs the program: WebAssembly or the reference engine (auto, the default: the faster)",
+        default="",
+        help="what runs the program, whatever the devices file says: auto is the faster that there is",
     )
     parser.add_argument(
         "--trust-network",

@@ -154,7 +154,8 @@ class _Team:
         args = self.args
         words = [sys.executable, "-m", "lfield", "up", str(self.file), f"--host={host}", "--leash"]
         # One word each: what begins with a dash would be taken for another option.
-        words += ["--listen-fd", str(descriptor), "--engine", args.engine]
+        words += ["--listen-fd", str(descriptor)]
+        words += ["--engine", args.engine] if args.engine else []
         words += [f"--door={self.doors.addresses[host]}"] if host in self.doors.addresses else []
         # Of all hosts: the first with a device that is not set up ends the others before they can tell.
         words.append(f"--setup={setup_command(mission_path(args), devices=args.devices)}")

@@ -45,13 +45,13 @@ async def run_host(
     leash: bool = False,
     journal: Journal | None = None,
     first_start: bool = False,
-    engine: str = "auto",
+    engine: str = "",
 ) -> int:
     """Run a host; returns the exit status (exits.py). `lost_after` None runs until it is stopped.
 
     `journal` is closed when it ends; without one it starts its coordinators when it has heard all hosts.
-    `door` is the address where commands of this computer find it. `engine` says what runs the program
-    (`lfield.vm.wasm.choice`).
+    `door` is the address where commands of this computer find it. `engine` says what runs the program,
+    if not what the bindings say.
 
     Raises AddressError and DevicesError when it cannot start.
     """
@@ -60,7 +60,13 @@ async def run_host(
         await stay_here(name, address)
     bound = unreachable_after or mission.bindings.unreachable_after
     host_options = Options(
-        address, dump, bound, door, journal=journal, first_start=first_start, engine=engine
+        address,
+        dump,
+        bound,
+        door,
+        journal=journal,
+        first_start=first_start,
+        engine=engine or mission.bindings.engine,
     )
     logbook = Logbook()
     host = Host(mission, name, TcpTransport(mission.max_block), logbook, host_options)

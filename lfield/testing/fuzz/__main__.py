@@ -1,7 +1,7 @@
 """Try random programs on two engines: python -m lfield.testing.fuzz --count 1000 --seed 1
 
-Each program of L is tried as it is, and changed a few times (`--mutants`). A difference is shrunk and
-printed; the same seed finds it again.
+Each program of L is tried as it is, and changed a little more each time (`--mutants`). A difference is shrunk
+and printed; the same seed finds it again.
 """
 
 from __future__ import annotations
@@ -69,14 +69,16 @@ class Fuzz:
             self.tally.found += 1
             yield self._shrunk(seed)
             return
+        mutant, edits = program, list[Edit]()
         for number in range(self._mutants):
             dice = random.Random(f"{seed} {number}")
-            mutant, edits = random_edits(program, dice, dice.choice((1, 2, 4, 8)))
+            mutant, edits = random_edits(program, dice, dice.choice((1, 1, 2, 4)), mutant, edits)
             outcome = tried(mutant, team, seed + number, self._engines)
             self.tally.add(outcome)
             if outcome.differences:
                 self.tally.found += 1
                 yield self._shrunk_mutant(program, team, edits, seed, number)
+                return
 
     def _shrunk(self, seed: int) -> str:
         piece = random_program(random.Random(seed))

@@ -7,6 +7,7 @@ in places where L has none.
 from __future__ import annotations
 
 import random
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import msgspec
@@ -74,12 +75,20 @@ def edited(program: Program, edits: list[Edit]) -> Program | None:
         return None
 
 
-def random_edits(program: Program, dice: random.Random, count: int) -> tuple[Program, list[Edit]]:
-    """A program with so many changes that the verifier accepts, fewer where luck is bad; and the changes."""
-    kept: list[Edit] = []
-    found = program
+def random_edits(
+    program: Program,
+    dice: random.Random,
+    count: int,
+    latest: Program | None = None,
+    earlier: Sequence[Edit] = (),
+) -> tuple[Program, list[Edit]]:
+    """A program with so many changes that the verifier accepts, fewer where luck is bad; and the changes.
+
+    They come on top of `earlier` ones, which have made `latest` of the program.
+    """
+    kept, found = list(earlier), program if latest is None else latest
     for _ in range(3 * count):
-        if len(kept) >= count:
+        if len(kept) >= len(earlier) + count:
             break
         edit = _drawn(found, dice)
         changed = None if edit is None else edited(program, [*kept, edit])

@@ -13,11 +13,11 @@ _CAUGHT = (*_CLASSES, "ConversionException", "MissingReturnException", "TimeLimi
 
 #: By type, what can be written to. `#` with the types of its parts behind the last `|`.
 _TARGETS: dict[str, tuple[str, ...]] = {
-    "int": ("#.n|Node*", "#[#]|int[]* int", "#[# % 3]|int[]* int"),
-    "real": ("#.r|Node*", "#[#]|real[]* int", "#[# % 3]|real[]* int"),
+    "int": ("#.n|Node*", "#[#]|int[]* int", "#[0]|int[]*", "#[# % 3]|int[]* int"),
+    "real": ("#.r|Node*", "#[#]|real[]* int", "#[1]|real[]*", "#[# % 3]|real[]* int"),
     "boolean": ("#.b|Node*",),
     "string": ("#.s|Node*",),
-    "Node": ("#.next|Node*", "#[#]|Node[]* int"),
+    "Node": ("#.next|Node*", "#[#]|Node[]* int", "#[1]|Node[]*"),
     "int[]": ("#.a|Node*",),
 }
 
@@ -50,7 +50,7 @@ class Statements:
         """One statement."""
         draw = self.expressions.draw
         flat = ("assign",) * 8 + ("element",) * 3 + ("call", "throw", "leave", "wait", "print")
-        deep = ("if", "if", "loop", "loop", "try", "try", "finally") if depth > 0 else ()
+        deep: tuple[str, ...] = ("if", "if", "loop", "loop", "try", "try", "finally") if depth > 0 else ()
         deep += ("within",) if depth > 0 and self._limits else ()
         match self.dice.choice(flat + deep * 2):
             case "assign":

@@ -6,6 +6,7 @@ A region is freed when nobody has a view of it any more, so an image that is sti
 from __future__ import annotations
 
 import ctypes
+import mmap
 import resource
 from functools import cache
 from typing import Any
@@ -22,6 +23,10 @@ WHOLE = 1 << 32
 RESERVATIONS = (WHOLE, 1 << 30, 1 << 28, 1 << 26, 1 << 24)
 #: Regions have one of four sizes between two powers of two; this is the smallest.
 _SMALLEST = 512
+#: Freed regions of so many bytes keep no memory: it costs a fault for each page to have it again.
+_LARGE = 4 << 20
+_advise = ctypes.CDLL(None, use_errno=True).madvise
+_advise.argtypes = (ctypes.c_void_p, ctypes.c_size_t, ctypes.c_int)
 #: A memory grows by so many pages at least: growing costs a call of the system, untouched pages cost nothing.
 _STEP = 16
 
@@ -61,7 +66,12 @@ class Arena:
         capacity = size_class(size)
         base = self.take(capacity)
         if base < 0:
-            return SEPARATE.room(size)
+            # There is nothing new: what was larger will do.
+            larger = [known for known in list(self._free) if known > capacity and self._free[known]]
+            capacity = min(larger, default=0)
+            if not capacity:
+                return SEPARATE.room(size)
+            base = self.take(capacity)
         region = _region(capacity).from_address(self.address + base)
         region.arena, region.base = self, base
         return memoryview(region).cast("B")[:size]
@@ -89,7 +99,11 @@ class Arena:
         return free.pop() if free else self._fresh(capacity)
 
     def free(self, base: int, capacity: int) -> None:
-        """Nobody has a view of a region any more."""
+        """Nobody has a view of a region any more; the system has the memory of a large one back."""
+        if capacity >= _LARGE:
+            start = self.address + base
+            first, last = start + -start % mmap.PAGESIZE, (start + capacity) // mmap.PAGESIZE * mmap.PAGESIZE
+            _advise(first, last - first, mmap.MADV_DONTNEED)
         self._free.setdefault(capacity, []).append(base)
 
     def _fresh(self, capacity: int) -> int:

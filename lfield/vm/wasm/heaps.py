@@ -43,7 +43,7 @@ class Heaps(Arena):
         tables = self._laid(layouts)
         if old < 0 or new < 0 or tables < 0:
             return 0
-        return unsigned(self._collect(tables, old, new, HEADER_WORDS))
+        return unsigned(self._collect(tables, old, len(source) // 8, new, len(target) // 8, HEADER_WORDS))
 
     def copied(
         self,
@@ -65,7 +65,7 @@ class Heaps(Arena):
         for i, root in enumerate(roots):
             words[i] = root
         at = self._roots_at
-        reached = self._copy(tables, old, new, top, end, at, count, scratch, scratch + size)
+        reached = self._copy(tables, old, used, new, top, end, at, count, scratch, scratch + size)
         return words[:count].tolist(), reached
 
     def walked(self, data: Buffer, heap: int, top: int, shapes: Shapes) -> Walked | None:

@@ -94,6 +94,9 @@ def test_what_is_said_of_a_build(lfield, here) -> None:
     checked = here("check", "other.lfm")
     assert (checked.status, checked.err) == (0, [])
     assert "Caller" in "\n".join(here("disasm", "other.lfm").out)
+    wasm = "\n".join(here("disasm", "other.lfm", "--wasm").out)
+    assert wasm.startswith("(module")
+    assert "i64.add" in wasm
 
 
 def test_a_running_team_is_found_by_its_bundle_and_by_its_deployment(lfield, alone) -> None:

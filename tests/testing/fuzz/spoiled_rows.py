@@ -33,7 +33,6 @@ _WORDS = {
         "i64.ge": "i64.gt",
         "i64.and": "i64.or",
         "i64.or": "i64.and",
-        "i64.eqz": "i64.popcnt",
     },
     **{
         "offset=8": "offset=16",

@@ -2,18 +2,24 @@
 
 from __future__ import annotations
 
+import random
+from contextlib import suppress
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 pytest.importorskip("wasmtime", reason="the engine in WebAssembly needs wasmtime: pip install lfield[wasm]")
 
+import wasmtime
 from random_heaps import LIMIT, RandomHeap, heaps, twin
 
 from lfield.vm.memory import layout
 from lfield.vm.memory.block import Block, Full
 from lfield.vm.memory.collector import collect, compact
 from lfield.vm.memory.copier import deep_copy
+from lfield.vm.wasm.arena import PAGE
+from lfield.vm.wasm.heaps import Heaps
 
 seeds = st.integers(0, 1 << 32)
 versions = st.sampled_from(sorted(layout.HEADERS))
@@ -84,6 +90,37 @@ def copied(heap: RandomHeap, roots: list[int], *pairs: tuple[Block, Block]) -> N
     same(pairs[0][1], pairs[1][1])
 
 
+@given(seeds)
+def test_a_heap_that_is_damaged_harms_no_other(seed: int) -> None:
+    """It never comes to that, as arrivals are checked; but no bug of ours may reach another agent's block."""
+    heap, space = RandomHeap(seed), heaps()
+    others = [space.room(len(heap.block.data)) for _ in range(4)]
+    there, target = twin(heap.block, space), Block.empty(heap.program.digest, LIMIT, space)
+    others += [space.room(len(heap.block.data)) for _ in range(4)]
+    for other in others:
+        other[:] = b"\x5a" * len(other)
+    dice = random.Random(seed)
+    for _ in range(dice.choice([1, 3, 20])):
+        at = dice.randrange(layout.W_SELF, there.top)
+        there.w[at] = dice.choice(
+            [
+                dice.randrange(2 * there.top),
+                dice.getrandbits(64) - (1 << 63),
+                there.w[at] ^ 1 << dice.randrange(62),
+            ]
+        )
+    with suppress(wasmtime.Trap, Full):
+        deep_copy(there, heap.roots(), target, heap.layouts)
+    with suppress(wasmtime.Trap):
+        collect(there, heap.layouts)
+    assert all(bytes(other) == b"\x5a" * len(other) for other in others)
+    # Nor does it harm what all of them need.
+    sound = twin(heap.block, space)
+    collect(sound, heap.layouts)
+    collect(heap.block, heap.layouts)
+    same(heap.block, sound)
+
+
 def test_a_copy_of_many_roots_is_left_to_python() -> None:
     heap = RandomHeap(7)
     there = twin(heap.block, heaps())
@@ -108,3 +145,23 @@ def test_one_large_array_is_moved_too() -> None:
     collect(heap.block, heap.layouts)
     collect(there, heap.layouts)
     same(heap.block, there)
+
+
+def test_where_the_arena_is_full_python_does_it_to_the_same_bytes(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Some blocks lie in the arena, some do not, and there may be no room for what the copier needs."""
+    monkeypatch.setattr("lfield.vm.wasm.arena.RESERVATIONS", (1 << 24,))
+    done_here = set()
+    for left in (0, 1 << 14, 1 << 17, 1 << 18, 1 << 20):
+        space = Heaps()
+        assert space.take((1 << 24) - PAGE - (1 << 12) - left) > 0
+        for seed in range(20):
+            heap = RandomHeap(seed)
+            there, target = twin(heap.block, space), Block.empty(heap.program.digest, LIMIT, space)
+            here = Block.empty(heap.program.digest, LIMIT)
+            for block in (heap.block, there, here, target):
+                collect(block, heap.layouts, 4096)
+            roots = [heap.block.w[word] for word in layout.ROOTS]
+            done_here.add(space.base(there.data) >= 0)
+            copied(heap, roots, (heap.block, here), (there, target))
+            same(heap.block, there)
+    assert done_here == {True, False}

@@ -75,3 +75,20 @@ def test_where_the_arena_is_full_blocks_lie_elsewhere(monkeypatch: pytest.Monkey
     inside = [arena.base(room) >= 0 for room in rooms]
     assert inside == sorted(inside, reverse=True)
     assert 10 < sum(inside) < 20
+
+
+def test_where_nothing_new_is_left_a_larger_region_is_given_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("lfield.vm.wasm.arena.RESERVATIONS", (1 << 24,))
+    arena = Heaps()
+    rooms = [arena.room(1 << 20) for _ in range(20)]
+    while arena.take(512) >= 0:
+        pass
+    base = arena.base(rooms[0])
+    del rooms[0]
+    gc.collect()
+    small = arena.room(100)
+    assert (arena.base(small), len(small)) == (base, 100)
+    assert arena.base(arena.room(100)) == -1
+    del small
+    gc.collect()
+    assert arena.base(arena.room(1 << 20)) == base

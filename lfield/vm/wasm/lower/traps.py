@@ -46,7 +46,7 @@ class Traps:
         return found
 
     def text(self) -> str:
-        """`$thrown`: makes the exception of trap number $trap, into $word; 0, and nothing done, without room."""
+        """`$thrown`: makes the exception of trap $trap, into $word; 0, and nothing done, without room."""
         segments = self.segments()
         labels = [f"$b{n}" for n in range(1 + len(self._numbers))]
         cases = [self._index()]

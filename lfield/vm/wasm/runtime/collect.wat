@@ -1,16 +1,20 @@
 ;; The collector: Cheney's algorithm, as lfield/vm/memory/collector.py tells it in Python. The same bytes.
 ;;
 ;; $tables  address of the records of the program (tables.py); the record 0 of kind 0 is the block's header
-;; $from    address of the old space; the headers of what is alive there are spoilt
-;; $to      address of the new space, with the header of the block already in it
+;; $from    address of the old space, of $used words; the headers of what is alive there are spoilt
+;; $to      address of the new space, of $room words, with the header of the block already in it
 ;; $header  how many words that header has
 ;; Gives the first unused word of the new space.
 
-(func (export "collect")
-    (param $tables i32) (param $from i32) (param $to i32) (param $header i32) (result i32)
+(func $collect (export "collect")
+    (param $tables i32) (param $from i32) (param $used i64) (param $to i32) (param $room i64)
+    (param $header i32)
+    (result i32)
     (local $top i32) (local $scan i32) (local $record i32) (local $size i32)
     (local $left i32) (local $list i32) (local $offset i32) (local $slot i32)
-    (local $place i64) (local $old i32) (local $head i64) (local $bytes i32) (local $at i32) (local $half i32)
+    (local $limit i64) (local $words i64) (local $place i64) (local $old i32) (local $head i64) (local $bytes i32) (local $at i32) (local $half i32)
+    (local.set $limit
+        (i64.add (i64.extend_i32_u (local.get $to)) (i64.shl (local.get $room) (i64.const 3))))
     (local.set $scan (local.get $to))
     (local.set $size (i32.shl (local.get $header) (i32.const 3)))
     (local.set $top (i32.add (local.get $to) (local.get $size)))
@@ -37,8 +41,10 @@
                         (local.set $list (i32.add (local.get $list) (i32.const 8))))
                     (else
                         (local.set $offset (i32.add (local.get $offset) (i32.const 8)))))
+                (if (i32.ge_u (local.get $offset) (local.get $size)) (then unreachable))
                 (local.set $slot (i32.add (local.get $scan) (local.get $offset)))
                 (br_if $references (i64.eqz (local.tee $place (i64.load (local.get $slot)))))
+                (if (i64.ge_u (local.get $place) (local.get $used)) (then unreachable))
                 (local.set $old
                     (i32.add (local.get $from) (i32.shl (i32.wrap_i64 (local.get $place)) (i32.const 3))))
                 (local.set $head (i64.load (local.get $old)))
@@ -47,12 +53,20 @@
                         ;; It has moved: its header is the negated new place.
                         (i64.store (local.get $slot) (i64.sub (i64.const 0) (local.get $head)))
                         (br $references)))
+                (local.set $words (i64.shr_u (local.get $head) (i64.const 32)))
+                (local.set $bytes (i32.shl (i32.wrap_i64 (local.get $words)) (i32.const 3)))
+                (if (i32.or
+                        (i64.gt_u (i64.add (local.get $place) (local.get $words)) (local.get $used))
+                        (i64.gt_u
+                            (i64.add
+                                (i64.extend_i32_u (local.get $top))
+                                (i64.extend_i32_u (local.get $bytes)))
+                            (local.get $limit)))
+                    (then unreachable))
                 (local.set $place
                     (i64.extend_i32_u
                         (i32.shr_u (i32.sub (local.get $top) (local.get $to)) (i32.const 3))))
                 (i64.store (local.get $slot) (local.get $place))
-                (local.set $bytes
-                    (i32.shl (i32.wrap_i64 (i64.shr_u (local.get $head) (i64.const 32))) (i32.const 3)))
                 (if (i32.gt_u (local.get $bytes) (i32.const 256))
                     (then
                         (memory.copy (local.get $top) (local.get $old) (local.get $bytes)))

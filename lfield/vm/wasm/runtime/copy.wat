@@ -2,21 +2,22 @@
 ;;
 ;; $tables   address of the records of the program; their first word is the offset (in bytes) of the reference
 ;;           that stays behind, 0 for none
-;; $source   address of the block that is copied from; while this works, the header of what was found there is
-;;           the negated place of its copy
+;; $source   address of the block that is copied from, of $used words; while this works, the header of what was
+;;           found there is the negated place of its copy
 ;; $target   address of the block that is copied to, maybe the same; $top and $end in words
 ;; $roots    address of $count references; they become those of the copies
 ;; $scratch  address of 16 bytes for every word of the source and every root: from below the list of what was
 ;;           found (place, header), from above ($last) the stack of references that are not yet followed
 ;; Gives the new top, or, when there is no room, the negated number of words needed: then nothing is changed.
 
-(func (export "deep_copy")
-    (param $tables i32) (param $source i32) (param $target i32) (param $top i64) (param $end i64)
+(func $deep_copy (export "deep_copy")
+    (param $tables i32) (param $source i32) (param $used i64)
+    (param $target i32) (param $top i64) (param $end i64)
     (param $roots i32) (param $count i32) (param $scratch i32) (param $last i32)
     (result i64)
     (local $words i64)
     (local.set $words
-        (call $closure (local.get $tables) (local.get $source) (local.get $top)
+        (call $closure (local.get $tables) (local.get $source) (local.get $used) (local.get $top)
             (local.get $roots) (local.get $count) (local.get $scratch) (local.get $last)))
     (if (i64.gt_s (i64.add (local.get $top) (local.get $words)) (local.get $end))
         (then
@@ -30,7 +31,7 @@
 
 ;; Finds everything reachable, last reference first; gives its size in words. The list ends with the place 0.
 (func $closure
-    (param $tables i32) (param $source i32) (param $top i64)
+    (param $tables i32) (param $source i32) (param $used i64) (param $top i64)
     (param $roots i32) (param $count i32) (param $found i32) (param $last i32)
     (result i64)
     (local $stack i32) (local $words i64) (local $place i64) (local $at i32) (local $head i64) (local $size i64)
@@ -51,6 +52,7 @@
             (local.set $place (i64.load (local.get $stack)))
             (local.set $stack (i32.add (local.get $stack) (i32.const 8)))
             (br_if $pop (i64.eqz (local.get $place)))
+            (if (i64.ge_u (local.get $place) (local.get $used)) (then unreachable))
             (local.set $at
                 (i32.add (local.get $source) (i32.shl (i32.wrap_i64 (local.get $place)) (i32.const 3))))
             (local.set $head (i64.load (local.get $at)))
@@ -62,6 +64,8 @@
             (i64.store (local.get $at)
                 (i64.sub (i64.const 0) (i64.add (local.get $top) (local.get $words))))
             (local.set $size (i64.shr_u (local.get $head) (i64.const 32)))
+            (if (i64.gt_u (i64.add (local.get $place) (local.get $size)) (local.get $used))
+                (then unreachable))
             (local.set $words (i64.add (local.get $words) (local.get $size)))
             (local.set $record (call $record (local.get $tables) (i32.wrap_i64 (local.get $head))))
             (local.set $stays (i32.load (local.get $record)))
@@ -81,12 +85,18 @@
                     (then
                         (local.set $offset (i32.load (local.get $list)))
                         (local.set $list (i32.add (local.get $list) (i32.const 8)))
+                        (if (i64.ge_u
+                                (i64.extend_i32_u (local.get $offset))
+                                (i64.shl (local.get $size) (i64.const 3)))
+                            (then unreachable))
                         (br_if $references (i32.eq (local.get $offset) (local.get $stays))))
                     (else
                         (local.set $offset (i32.add (local.get $offset) (i32.const 8)))))
                 (local.set $place (i64.load (i32.add (local.get $at) (local.get $offset))))
                 (br_if $references (i64.eqz (local.get $place)))
                 (local.set $stack (i32.sub (local.get $stack) (i32.const 8)))
+                (if (i32.lt_u (local.get $stack) (i32.add (local.get $found) (i32.const 16)))
+                    (then unreachable))
                 (i64.store (local.get $stack) (local.get $place))
                 (br $references))))
     (i64.store (local.get $found) (i64.const 0))

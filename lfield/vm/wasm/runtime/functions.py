@@ -18,7 +18,7 @@ def runtime_text() -> str:
     """The whole module. It has no memory of its own."""
     folder = files(__package__)
     parts = "\n".join(folder.joinpath(f"{part}.wat").read_text(encoding="utf-8") for part in PARTS)
-    return f'(module\n(import "arena" "memory" (memory 0))\n\n{parts})\n'
+    return f'(module $runtime\n(import "arena" "memory" (memory 0))\n\n{parts})\n'
 
 
 class Functions:
@@ -31,6 +31,6 @@ class Functions:
     def __init__(self, code: wasmtime.Module, store: wasmtime.Store, memory: wasmtime.Memory) -> None:
         #: For modules that import its functions.
         self.instance = wasmtime.Instance(store, code, [memory])
-        self.collect = quick(store, self.instance, "collect", 4)
-        self.deep_copy = quick(store, self.instance, "deep_copy", 9)
+        self.collect = quick(store, self.instance, "collect", 6)
+        self.deep_copy = quick(store, self.instance, "deep_copy", 10)
         self.sound = quick(store, self.instance, "sound", 6)

@@ -10,7 +10,7 @@
 ;; $starts   address of one bit for every word of the block: becomes 1 where a thing begins
 ;; $tickets  address of 64 bits for every ticket there may be: become their places
 
-(func (export "sound")
+(func $sound (export "sound")
     (param $tables i32) (param $block i32) (param $heap i64) (param $top i64) (param $starts i32)
     (param $tickets i32)
     (result i32)

@@ -226,9 +226,9 @@
     (local.set $length (i32.load offset=8 (local.get $sought)))
     (if (i32.eqz (local.get $length)) (then (return (i64.const 0))))
     (if (i32.gt_u (local.get $length) (local.get $bytes)) (then (return (i64.const -1))))
-    (if (i32.and
-            (i32.gt_u (local.get $length) (i32.const 16))
-            (i32.gt_u (local.get $bytes) (i32.const 4096)))
+    (if (i64.gt_u
+            (i64.mul (i64.extend_i32_u (local.get $length)) (i64.extend_i32_u (local.get $bytes)))
+            (i64.const 65536))
         (then (return (i64.const -2))))
     (local.set $text (i32.add (local.get $text) (i32.const 16)))
     (local.set $sought (i32.add (local.get $sought) (i32.const 16)))

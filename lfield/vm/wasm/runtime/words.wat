@@ -1,18 +1,26 @@
 ;; What everything here uses: records of the tables, and moving words and bytes.
 ;;
-;; The tables of a program (tables.py): eight addresses, by kind, of records of 16 bytes, by index. Addresses
-;; in them count from the table's own beginning. A record: a number of its own use, how many references (-1:
+;; A block that is not what it must be traps, which is a bug of ours, and ends its agent: no reference leads to
+;; the block of another one, whatever it is.
+;;
+;; The tables of a program (tables.py): eight addresses, by kind, of records of 16 bytes, by index, then how many
+;; there are. Addresses in them count from the table's own beginning. A record: a number of its own use, how many references (-1:
 ;; all words behind the header), the address of their list, another number. An entry of a list: the offset of
 ;; a reference in bytes, and what it leads to.
 
 (func $record (param $tables i32) (param $half i32) (result i32)
+    (local $kind i32)
+    (local.set $kind
+        (i32.add (local.get $tables) (i32.shl (i32.and (local.get $half) (i32.const 7)) (i32.const 2))))
+    ;; No table has it: what was taken for a thing is none.
+    (if (i32.or
+            (i32.gt_u (i32.and (local.get $half) (i32.const 255)) (i32.const 7))
+            (i32.ge_u
+                (i32.shr_u (local.get $half) (i32.const 8))
+                (i32.load offset=32 (local.get $kind))))
+        (then unreachable))
     (i32.add
-        (i32.add
-            (local.get $tables)
-            (i32.load
-                (i32.add
-                    (local.get $tables)
-                    (i32.shl (i32.and (local.get $half) (i32.const 7)) (i32.const 2)))))
+        (i32.add (local.get $tables) (i32.load (local.get $kind)))
         (i32.shl (i32.shr_u (local.get $half) (i32.const 8)) (i32.const 4))))
 
 ;; The address of a place of a block.

@@ -1,4 +1,4 @@
-"""The machine code that a host keeps of its program: found again, made again when it is damaged, never others'."""
+"""The machine code that a host keeps of its program: found again, made again when damaged, never others'."""
 
 from __future__ import annotations
 

@@ -1,0 +1,66 @@
+"""Many agents where addresses are limited (`ulimit -v`), and what is given back to the system."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import pytest
+
+from lfield.testing.engines import NEEDED
+
+pytest.importorskip("wasmtime", reason=NEEDED)
+
+from lfield.vm.wasm.arena import WHOLE, Arena
+
+_MANY = """
+import random, resource, sys
+resource.setrlimit(resource.RLIMIT_AS, (int(sys.argv[1]) << 20,) * 2)
+from lfield.clock import ManualClock
+from lfield.testing.golden import Desk, compile_text
+from lfield.vm.agent import Member
+from lfield.vm.contract import Limits
+from lfield.vm.machine import Machine
+from lfield.vm.wasm.engine import Engine
+program = compile_text(
+    "resource R { init(string[] arg) { for (int i = 0; i < 9; i = i + 1) sleep(1.0); print(arg[0]); } }"
+)
+desk, clock = Desk(), ManualClock()
+team = [Member(i, f"r{i}", "R", "resource", 0) for i in range(1000)]
+machine = desk.machine = Machine(program, team, 0, 1, desk, clock, random.Random(1), engines=Engine)
+for member in team:
+    machine.start(member, Limits(), 1)
+while (pause := machine.run()) is not None:
+    clock.advance(pause)
+outside = sum(machine.engine.space.base(agent.block.data) < 0 for agent in machine.agents.values())
+print(len(desk.output), len(set(desk.output)), outside, machine.engine.space.reservation)
+"""
+
+
+@pytest.mark.process
+@pytest.mark.parametrize("most", [400, 1500])
+def test_a_thousand_agents_live_in_few_addresses(most: int) -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", _MANY, str(most)], capture_output=True, text=True, check=False, timeout=200
+    )
+    assert done.returncode == 0, done.stderr
+    printed, different, outside, reservation = map(int, done.stdout.split())
+    assert (printed, different, outside) == (1000, 1000, 0)
+    assert reservation < WHOLE
+
+
+def test_a_large_region_that_nobody_needs_has_no_memory() -> None:
+    arena = Arena()
+    room = arena.room(32 << 20)
+    room[:] = b"x" * len(room)
+    base, full = arena.base(room), _resident()
+    del room
+    assert _resident() < full - (24 << 20)
+    again = arena.room(32 << 20)
+    assert arena.base(again) == base
+    assert not any(again[:: 1 << 12])
+
+
+def _resident() -> int:
+    with open("/proc/self/statm") as file:
+        return int(file.read().split()[1]) * 4096
