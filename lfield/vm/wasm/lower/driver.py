@@ -49,7 +49,6 @@ def driver(deepest: int, tables: Tables, *, catches: bool) -> str:
         f"(i64.store (i32.const {AT[name]}) (i64.extend_i32_u (global.get ${name})))"
         for name in ("top", "frame", "pc")
     ]
-    caught = "(call $caught)" if catches else "(i32.const 0)"
     return f"""
 (func (export "run") (result i32)
   (local $frame i32) (local $point i32) (local $status i32) (local $word i64) (local $back i32)
@@ -79,18 +78,7 @@ def driver(deepest: int, tables: Tables, *, catches: bool) -> str:
       (br_if $on (local.get $point))
       (global.set $frame (local.get $frame))
       (local.set $status (i32.const {STEP}))))
-    (if (i32.ge_u (local.get $status) (i32.const {THROWN})) (then
-      (local.set $top (global.get $top))
-      (if (if (result i32) (i32.eq (local.get $status) (i32.const {TRAPPED}))
-            (then (call $thrown)) (else (i32.const 1))) (then
-        (if {caught} (then
-          (local.set $frame (global.get $frame))
-          (local.set $point (global.get $point))
-          (br $on)))))
-      ;; The reference engine throws it, and is paid for that.
-      (global.set $top (local.get $top))
-      (global.set $left (i64.add (global.get $left) (i64.const 1)))
-      (local.set $status (i32.const {STEP}))))
+    {_thrown("(call $caught)" if catches else "(i32.const 0)")}
   end
   {" ".join(out)}
   (i64.store (i32.const {AT["left"]}) (global.get $left))
@@ -98,6 +86,21 @@ def driver(deepest: int, tables: Tables, *, catches: bool) -> str:
   (local.get $status))
 {_caught(tables) + _unwind(tables) if catches else ""}
 """
+
+
+def _thrown(caught: str) -> str:
+    """Behind a method that has thrown: to who catches, or to the reference engine, which is paid for it."""
+    return f"""(if (i32.ge_u (local.get $status) (i32.const {THROWN})) (then
+      (local.set $top (global.get $top))
+      (if (if (result i32) (i32.eq (local.get $status) (i32.const {TRAPPED}))
+            (then (call $thrown)) (else (i32.const 1))) (then
+        (if {caught} (then
+          (local.set $frame (global.get $frame))
+          (local.set $point (global.get $point))
+          (br $on)))))
+      (global.set $top (local.get $top))
+      (global.set $left (i64.add (global.get $left) (i64.const 1)))
+      (local.set $status (i32.const {STEP}))))"""
 
 
 def _caught(tables: Tables) -> str:

@@ -1,4 +1,4 @@
-"""The machine code that a host keeps of its program: found again, made again when it is damaged, never others'."""
+"""The machine code that a host keeps of its program: found again, made again when damaged, never others'."""
 
 from __future__ import annotations
 
@@ -89,6 +89,11 @@ def test_what_others_could_have_written_is_not_read(cached: Path) -> None:
     assert made(notes) == first
     assert notes
     assert all("others may write to it" in note for note in notes)
+
+
+def test_a_service_has_its_own_folder(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("CACHE_DIRECTORY", "/var/cache/lfield:/var/cache/other")
+    assert code_folder() == Path("/var/cache/lfield/code")
 
 
 def test_without_a_folder_everything_is_compiled(
