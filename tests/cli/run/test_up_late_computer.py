@@ -39,7 +39,7 @@ agents:
 def test_a_simulated_team_that_gets_no_processor_for_half_a_second_flies_on(lfield):
     """The devices file asks for 0.1 s in the field, which a busy desk cannot keep.
 
-    One process after the other stands still, whatever it is: hosts, guards, fakes; the copter hovers meanwhile.
+    One process after the other stands still, whatever it is: hosts, guards, fakes. The copter hovers.
     """
     program = PROGRAM.replace("copter.land();", "sleep(8.0); copter.land();")
     deployment = lfield.mission(program, DEPLOYMENT, HARDWARE)
