@@ -21,7 +21,7 @@ class Reports:
     """Writes and reads the reports of a mission; `agents` in the order of the deployment."""
 
     def __init__(self, registry: Registry, agents: Sequence[Deployed]) -> None:
-        self._agents, self._providers = agents, registry.providers.keys()
+        self._agents, self._providers = agents, registry.providers
         self._numbers = {agent.id: number for number, agent in enumerate(agents)}
         self._attributes = [attribute for _, attribute in sorted(registry.attributes.items())]
         self._places = {attribute.name: place for place, attribute in enumerate(self._attributes)}
@@ -56,15 +56,18 @@ class Reports:
             agent = self._agents[told.agent] if told.agent < len(self._agents) else None
             if agent is None or agent.host != host or agent.type not in self._providers:
                 raise WireError(f"{host} reports on agent {told.agent}, which is none of its")
-            agents[agent.id] = self._read_agent(agent.id, told, now)
+            agents[agent.id] = self._read_agent(agent, told, now)
         return News(report.life, report.since, report.sequence, agents)
 
-    def _read_agent(self, agent: str, told: AgentReport, now: float) -> Condition:
+    def _read_agent(self, deployed: Deployed, told: AgentReport, now: float) -> Condition:
+        agent, live = deployed.id, self._providers[deployed.type].live
         since = None if told.lasting is None else now - told.lasting
         trouble = Trouble(told.trouble, since) if told.trouble else None
         samples: dict[str, Sample] = {}
         for fact in told.facts:
             attribute = self._attribute(agent, fact.attribute)
+            if fact.of != "stated" and attribute.name not in live:
+                raise WireError(f"a report has {attribute.name} {fact.of}, which nothing of {agent} tells")
             value = _value(agent, attribute, fact.value)
             samples[attribute.name] = Sample(value, now - fact.age, now, fact.kept, fact.of)
         unknown = {self._attribute(agent, place).name: why for place, why in told.unknown}

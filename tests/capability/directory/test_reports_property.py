@@ -20,7 +20,12 @@ INDEX = st.integers(0, 8)
 AGE = st.floats(0.0, 1e9)
 TEXT = st.text(max_size=10)
 FACTS = st.builds(
-    FactReport, INDEX, st.one_of(st.booleans(), st.integers(-9, 9), st.floats(), TEXT), AGE, st.booleans()
+    FactReport,
+    INDEX,
+    st.one_of(st.booleans(), st.integers(-9, 9), st.floats(), TEXT),
+    AGE,
+    st.booleans(),
+    st.sampled_from(["stated", "told", "measured"]),
 )
 REPORTS = st.builds(
     Report,
@@ -60,7 +65,7 @@ def test_whatever_comes_is_refused_or_fits(report):
         deployed = next(a for a in AGENTS if a.id == agent)
         assert deployed.host == "bravo"
         for name, sample in condition.samples.items():
-            assert name in PROVIDERS[deployed.type].live
+            assert name in PROVIDERS[deployed.type].live or sample.of == "stated"
             assert type(sample.value) is TYPES[ATTRIBUTES[name].type]
             assert not isinstance(sample.value, float) or math.isfinite(sample.value)
             assert sample.at - sample.when >= 0.0
