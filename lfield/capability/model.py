@@ -113,6 +113,18 @@ class Attribute:
     max_age: float = 10.0
     meaning: str = ""
 
+    def takes(self, value: Value) -> bool:
+        """Whether a value that came from elsewhere is of its type."""
+        match self.type:
+            case "boolean":
+                return isinstance(value, bool)
+            case "text":
+                return isinstance(value, str)
+            case "set":
+                return isinstance(value, frozenset)
+            case _:
+                return isinstance(value, int | float) and not isinstance(value, bool)
+
 
 @dataclass(frozen=True, slots=True)
 class Portal:

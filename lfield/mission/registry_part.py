@@ -16,7 +16,6 @@ import msgspec
 from lfield.capability.condition import Mistake
 from lfield.capability.matching.expression import WANTED, Scope, Wanted, check, parse
 from lfield.capability.model import (
-    Attribute,
     Composition,
     Expression,
     Provider,
@@ -51,7 +50,7 @@ def check_stated(stated: Mapping[str, Mapping[str, Stated]], registry: Registry)
         for name, value in values.items():
             attribute = registry.attributes.get(name)
             said = frozenset(value) if isinstance(value, tuple) else value
-            if attribute is None or not _fits(said, attribute):
+            if attribute is None or not attribute.takes(said):
                 raise BundleError(f"its bindings state {value!r} of {agent}, which is no {name}")
 
 
@@ -98,7 +97,7 @@ def _problems(registry: Registry) -> Iterator[str]:
     yield from _strangers("primitive", _named_primitives(registry), registry.primitives)
     # Only now: what is checked next looks these names up.
     for name, value in _values(registry):
-        if not _fits(value, registry.attributes[name]):
+        if not registry.attributes[name].takes(value):
             yield f"{value!r} is no value of {name}"
     for expression, scope, wanted in _expressions(registry):
         yield from map(str, _mistakes(expression, scope, wanted))
@@ -135,18 +134,6 @@ def _values(registry: Registry) -> Iterator[tuple[str, Value]]:
             yield from served.attributes.items()
     for own in registry.agents.values():
         yield from own.items()
-
-
-def _fits(value: Value, attribute: Attribute) -> bool:
-    match attribute.type:
-        case "boolean":
-            return isinstance(value, bool)
-        case "text":
-            return isinstance(value, str)
-        case "set":
-            return isinstance(value, frozenset)
-        case _:
-            return isinstance(value, int | float) and not isinstance(value, bool)
 
 
 def _expressions(registry: Registry) -> Iterator[tuple[Expression | None, Scope, Wanted]]:

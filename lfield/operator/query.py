@@ -168,7 +168,10 @@ def _view(agent: Deployed, views: Views, silent: Collection[str], at: str) -> To
 def _candidate(registry: Registry, known: Known, at: str, told: Told) -> Candidate:
     """An agent with what a host has told of it, as far as it makes sense."""
     facts = {name: _fact(fact) for name, fact in told.facts.items()}
-    facts = {name: fact for name, fact in facts.items() if _fits(fact, registry.attributes.get(name))}
+    known_as = registry.attributes
+    facts = {
+        name: fact for name, fact in facts.items() if name in known_as and known_as[name].takes(fact.value)
+    }
     return known.shown(
         _hops(known, at), told.refusal, facts, told.unknown, "{0} is not known: no host tells it"
     )
@@ -185,18 +188,3 @@ def _fact(told: ToldFact) -> Fact:
 def _value(said: float | str | list[str] | tuple[str, ...]) -> Value:
     """A value as the registry has it: members are a set."""
     return frozenset(said) if isinstance(said, list | tuple) else said
-
-
-def _fits(fact: Fact, attribute: Attribute | None) -> bool:
-    """Whether a value that came is one of its attribute."""
-    match fact.value:
-        case _ if attribute is None:
-            return False
-        case bool():
-            return attribute.type == "boolean"
-        case str():
-            return attribute.type == "text"
-        case frozenset():
-            return attribute.type == "set"
-        case _:
-            return attribute.type in ("real", "int")
