@@ -8,7 +8,7 @@ from lfield.vm.memory.block import Block, Full
 from lfield.vm.memory.collector import compact
 from lfield.vm.memory.copier import deep_copy
 from lfield.vm.memory.layout import Layouts
-from lfield.vm.memory.shapes import Shapes
+from lfield.vm.memory.shapes import Shapes, Stances
 from lfield.vm.memory.space import Buffer, Space, Walked
 
 
@@ -67,6 +67,10 @@ class TwinSpace:
     def walked(self, data: Buffer, heap: int, top: int, shapes: Shapes) -> Walked | None:
         """As of the space that is tried."""
         return self._tried.walked(data, heap, top, shapes)
+
+    def travels(self, data: Buffer, top: int, stances: Stances) -> bool:
+        """As of the space that is tried."""
+        return self._tried.travels(data, top, stances)
 
     def _same(self, what: str, expected: Block, found: Buffer, top: int) -> None:
         if top != expected.top:

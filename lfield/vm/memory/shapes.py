@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from lfield.bytecode.program import ANY, PROXY, REFERENCES, STRING, TICKET, Program
+from lfield.bytecode.opcodes import BY_NAME
+from lfield.bytecode.program import ANY, PROXY, REFERENCES, RESERVED, STRING, TICKET, Program
 from lfield.bytecode.program import ARRAY as ARRAY_TYPE
 from lfield.bytecode.program import OBJECT as OBJECT_TYPE
 from lfield.vm.memory import layout
@@ -28,6 +29,9 @@ _KINDS = {ANY_PROXY: layout.PROXY, ANY_FRAME: FRAME, ANY_ARRAY: layout.ARRAY, AN
 _TICKET_EXPECTS = dict(
     zip(TICKET_REFERENCES, (ANY_PROXY, ANY_FRAME, ANY_ARRAY, ANY_OBJECT, ANY_TICKET), strict=True)
 )
+_PUSH, _CALL = BY_NAME["push"].code, BY_NAME["call"].code
+#: Where coordinators leave, and where they are kept.
+_TRAVELS = frozenset(BY_NAME[name].code for name in ("pcall", "start", "fetch", "leave", "take"))
 #: Offsets of references in words, each with what it must lead to.
 Expected = tuple[tuple[int, int], ...]
 
@@ -116,3 +120,31 @@ class Shapes:
     def _references(self, kinds: Sequence[int], first: int) -> Expected:
         pairs = ((first + i, self.of_type[kind]) for i, kind in enumerate(kinds))
         return tuple((offset, expected) for offset, expected in pairs if expected is not None)
+
+
+class Stances:
+    """Where the frames of a travelling coordinator may stand, in a program of such `shapes`."""
+
+    def __init__(self, shapes: Shapes) -> None:
+        self.shapes, self.program = shapes, shapes.program
+        core = self.program.core
+        #: The classes of coordinators.
+        self.coordinators = frozenset(i for i, of in enumerate(core.classes) if of.kind == "coordinator")
+        #: The instructions that the youngest may stand at: the first of each group that leaves.
+        self.portal_calls = self._portal_calls()
+        #: By instruction, the method that it calls.
+        self.calls = {pc: quad.a for pc, quad in enumerate(self.program.quads) if quad.op == _CALL}
+        #: The methods that reserve resources.
+        self.reserve = frozenset(
+            i for i, of in enumerate(core.methods) if any(row.kind == RESERVED for row in of.handlers)
+        )
+
+    def _portal_calls(self) -> frozenset[int]:
+        quads, found = self.program.quads, set()
+        for pc, quad in enumerate(quads):
+            if quad.op not in _TRAVELS:
+                continue
+            while quads[pc - 1].op == _PUSH:
+                pc -= 1
+            found.add(pc)
+        return frozenset(found)

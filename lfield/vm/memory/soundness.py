@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from lfield.bytecode.opcodes import BY_NAME
 from lfield.bytecode.program import RESERVED, MethodRecord, Program
 from lfield.errors import BlockError
 from lfield.vm.memory import layout
@@ -36,8 +35,8 @@ from lfield.vm.memory.layout import (
     Layouts,
 )
 from lfield.vm.memory.parcels import WORD
-from lfield.vm.memory.shapes import SENTINEL, Shapes
-from lfield.vm.memory.space import SEPARATE, Space
+from lfield.vm.memory.shapes import SENTINEL, Shapes, Stances
+from lfield.vm.memory.space import SEPARATE, Buffer, Space
 from lfield.vm.memory.tickets import check_ticket
 
 STATES = len(layout.STATE_NAMES)
@@ -49,9 +48,8 @@ _MAGIC, _EARLIER_MAGIC, _OLD_MAGIC = (
 #: The low half of no header.
 _NOTHING = 0xFF
 _WRONG = "wrong magic or version"
-_PUSH, _CALL = BY_NAME["push"].code, BY_NAME["call"].code
-#: Where coordinators leave, and where they are kept.
-_TRAVELS = frozenset(BY_NAME[name].code for name in ("pcall", "start", "fetch", "leave", "take"))
+#: The bytes of a block before its top.
+_BEFORE_TOP = 8 * layout.W_TOP
 
 
 class Soundness:
@@ -64,8 +62,10 @@ class Soundness:
         self, program: Program, layouts: Layouts, members: Sequence[str], space: Space = SEPARATE
     ) -> None:
         self.program, self._layouts, self._space = program, layouts, space
-        self._portal_calls = _portal_calls(program)
         self.shapes = Shapes(program, layouts, members)
+        self.stances = Stances(self.shapes)
+        #: What a block of this program begins with.
+        self._beginning = _MAGIC.to_bytes(8, "little") + program.digest
         #: The numbers of the resources.
         self._resources = {
             i
@@ -75,6 +75,12 @@ class Soundness:
 
     def check(self, image: bytes | bytearray | memoryview, limit: int) -> Block:
         """A travelling coordinator's block from its bytes (`limit` in words); raises BlockError."""
+        size = len(image)
+        if size <= 8 * limit and not size % 8 and image[:_BEFORE_TOP] == self._beginning:
+            data = self._copied(image, limit)
+            if self._space.travels(data, size // 8, self.stances):
+                return Block(data, size // 8, limit, self._space)
+        # It is of an earlier version, or not sound, or nobody is sure.
         block = self._adopt(image, limit)
         if block.w[layout.W_MAGIC] not in (_MAGIC, _EARLIER_MAGIC):
             raise BlockError(_WRONG, word=layout.W_MAGIC)
@@ -149,11 +155,7 @@ class Soundness:
             raise BlockError(f"{size} bytes are no whole block")
         if size > 8 * limit:
             raise BlockError(f"{size} bytes are over the limit of {8 * limit}")
-        # Room for what it will soon need: what a portal gives it, say.
-        words = min(limit, max(INITIAL_WORDS, size // 8 * 3 // 2))
-        data = self._space.room(max(size, 8 * words))
-        data[:size] = image
-        block = Block(data, size // 8, limit, self._space)
+        block = Block(self._copied(image, limit), size // 8, limit, self._space)
         w, heap = block.w, block.heap
         if image[8 * layout.W_PROGRAM : 8 * layout.W_PROGRAM + 32] != self.program.digest:
             raise BlockError("it belongs to another program", word=layout.W_PROGRAM)
@@ -166,6 +168,13 @@ class Soundness:
         ):
             raise BlockError("its clock is not sound", word=layout.W_CLOCK)
         return block
+
+    def _copied(self, image: bytes | bytearray | memoryview, limit: int) -> Buffer:
+        """The bytes with room for what it will soon need: what a portal gives it, say."""
+        size = len(image)
+        data = self._space.room(max(size, 8 * min(limit, max(INITIAL_WORDS, size // 8 * 3 // 2))))
+        data[:size] = image
+        return data
 
     def _things(self, block: Block) -> Mapping[int, int]:
         """The places of all things, each with the low half of its header; all their references are sound."""
@@ -258,7 +267,7 @@ class Soundness:
         self._check_frames(w, starts, w[thread + THREAD_FRAME], w[thread + THREAD_PC])
 
     def _check_frames(self, w: memoryview[int], starts: Mapping[int, int], frame: int, pc: int) -> None:
-        if pc not in self._portal_calls:
+        if pc not in self.stances.portal_calls:
             raise BlockError("it does not stand at a portal call", word=frame)
         methods = self.program.core.methods
         callee = -1
@@ -270,7 +279,7 @@ class Soundness:
             method = methods[half >> 8]
             if not method.entry < pc < method.end or (depth and w[frame + FRAME_DEPTH] != depth - 1):
                 raise BlockError("a frame stands outside its method", word=frame)
-            if callee >= 0 and self.program.quads[pc - 1][:2] != (_CALL, callee):
+            if callee >= 0 and self.stances.calls.get(pc - 1) != callee:
                 raise BlockError("a frame does not stand behind its call", word=frame)
             self._check_reserved(w, method, frame, pc if callee < 0 else pc - 1)
             depth, callee, pc = w[frame + FRAME_DEPTH], half >> 8, w[frame + FRAME_RETURN]
@@ -295,14 +304,3 @@ class Soundness:
 def _is_count(number: int) -> bool:
     return 0 <= number < COUNT_LIMIT
 
-
-def _portal_calls(program: Program) -> frozenset[int]:
-    """The instructions where a coordinator may stand when it travels: the first of each group that leaves."""
-    found = set()
-    for pc, quad in enumerate(program.quads):
-        if quad.op not in _TRAVELS:
-            continue
-        while program.quads[pc - 1].op == _PUSH:
-            pc -= 1
-        found.add(pc)
-    return frozenset(found)

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Protocol
 
 from lfield.vm.memory.layout import Layouts
-from lfield.vm.memory.shapes import Shapes
+from lfield.vm.memory.shapes import Shapes, Stances
 
 #: Writable bytes: those of a `bytearray`, or a view of somebody's memory.
 Buffer = bytearray | memoryview
@@ -58,6 +58,12 @@ class Space(Protocol):
         (`lfield.vm.memory.soundness`). It is valid until the next one.
         """
 
+    def travels(self, data: Buffer, top: int, stances: Stances) -> bool:
+        """Whether it is sure that a travelling coordinator's block of so many words is sound in all respects.
+
+        It begins as it must: magic, version and program. False where the space cannot tell.
+        """
+
 
 class Separate:
     """Every block has bytes of its own: what serves where no engine wants them in one place."""
@@ -92,6 +98,9 @@ class Separate:
 
     def walked(self, data: Buffer, heap: int, top: int, shapes: Shapes) -> Walked | None:
         return None
+
+    def travels(self, data: Buffer, top: int, stances: Stances) -> bool:
+        return False
 
 
 SEPARATE = Separate()

@@ -9,13 +9,13 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 
 from lfield.vm.memory.layout import HEADER_WORDS, TICKET_WORDS, Layouts
-from lfield.vm.memory.shapes import Shapes
+from lfield.vm.memory.shapes import Shapes, Stances
 from lfield.vm.memory.space import Buffer, Walked
 from lfield.vm.wasm.arena import PAGE, Arena, size_class
 from lfield.vm.wasm.calls import unsigned
 from lfield.vm.wasm.code import Cache, runtime_of
 from lfield.vm.wasm.runtime.functions import Functions
-from lfield.vm.wasm.runtime.tables import layout_tables, shape_tables
+from lfield.vm.wasm.runtime.tables import layout_tables, shape_tables, stance_tables
 
 #: The most references that are copied at once: more than any call has arguments.
 MOST_ROOTS = 64
@@ -29,7 +29,8 @@ class Heaps(Arena):
         self.functions = Functions(runtime_of(self.reservation, cache), self.store, self.memory)
         functions = self.functions
         self._collect, self._copy, self._sound = functions.collect, functions.deep_copy, functions.sound
-        self._tables: dict[Layouts | Shapes, int] = {}
+        self._travels = functions.travels
+        self._tables: dict[Layouts | Shapes | Stances, int] = {}
         #: What is used for the length of one call, and how large it is.
         self._scratch, self._capacity = -1, 0
         self._scratch_view = self.view(0, 0)
@@ -70,9 +71,8 @@ class Heaps(Arena):
 
     def walked(self, data: Buffer, heap: int, top: int, shapes: Shapes) -> Walked | None:
         """As the Protocol says; None too when something is wrong, which the Python then finds."""
-        # One bit for each word, then a word for each ticket.
-        bits, tickets = top // 64 + 1, top // TICKET_WORDS
-        block, tables, scratch = self.base(data), self._laid(shapes), self._room_for(8 * (bits + tickets))
+        bits, tickets, scratch = self._marks(top)
+        block, tables = self.base(data), self._laid(shapes)
         if block < 0 or tables < 0 or scratch < 0:
             return None
         count = unsigned(self._sound(tables, block, heap, top, scratch, scratch + 8 * bits))
@@ -82,11 +82,27 @@ class Heaps(Arena):
         places = self._scratch_view[8 * bits : 8 * (bits + count)].cast("q").tolist() if count else []
         return starts, places
 
-    def _laid(self, what: Layouts | Shapes) -> int:
+    def travels(self, data: Buffer, top: int, stances: Stances) -> bool:
+        """As the Protocol says."""
+        bits, _, scratch = self._marks(top)
+        block, tables, stood = self.base(data), self._laid(stances.shapes), self._laid(stances)
+        if block < 0 or tables < 0 or stood < 0 or scratch < 0:
+            return False
+        return bool(self._travels(tables, stood, block, top, scratch, scratch + 8 * bits) & 1)
+
+    def _marks(self, top: int) -> tuple[int, int, int]:
+        """Where the soundness check makes its marks: one bit for each word, then a word for each ticket.
+
+        How many words they are, and the address of the first.
+        """
+        bits, tickets = top // 64 + 1, top // TICKET_WORDS
+        return bits, tickets, self._room_for(8 * (bits + tickets))
+
+    def _laid(self, what: Layouts | Shapes | Stances) -> int:
         """The address of the tables of a program; -1 when there is no room for them."""
         found = self._tables.get(what)
         if found is None:
-            tables = layout_tables(what) if isinstance(what, Layouts) else shape_tables(what)
+            tables = _bytes_of(what)
             found = self._tables[what] = self.take(size_class(len(tables)))
             if found >= 0:
                 self.view(found, len(tables))[:] = tables
@@ -103,6 +119,16 @@ class Heaps(Arena):
                 self._capacity = 0
             self._scratch_view = self.view(max(0, self._scratch), self._capacity)
         return self._scratch
+
+
+def _bytes_of(what: Layouts | Shapes | Stances) -> bytes:
+    match what:
+        case Layouts():
+            return layout_tables(what)
+        case Shapes():
+            return shape_tables(what)
+        case Stances():
+            return stance_tables(what)
 
 
 class Starts(Mapping[int, int]):

@@ -10,7 +10,7 @@ import wasmtime
 from lfield.vm.wasm.calls import quick
 
 #: The files of its text: what all use, what is done with whole heaps, what compiled methods call.
-PARTS = ("words", "collect", "copy", "sound", "strings", "texts")
+PARTS = ("words", "collect", "copy", "sound", "travels", "strings", "texts")
 
 
 @cache
@@ -34,3 +34,4 @@ class Functions:
         self.collect = quick(store, self.instance, "collect", 6)
         self.deep_copy = quick(store, self.instance, "deep_copy", 10)
         self.sound = quick(store, self.instance, "sound", 6)
+        self.travels = quick(store, self.instance, "travels", 6)

@@ -13,6 +13,13 @@ All numbers are little-endian, 32 bits; addresses count from the beginning of th
 The number of a record is for the copier the offset of the reference that stays behind, in bytes (0: none),
 for the soundness check the size of the thing in words (0: any, -1: there is no such thing). The other number
 is what every element of an array of references must lead to.
+
+Where coordinators stand is in tables of its own:
+
+      0   how many classes there are, and the address of one byte for each: 1, it is a coordinator's
+      8   how many instructions there are, and the address of one number for each: the method that it calls,
+          -1: it calls none, -2: a coordinator may travel from here
+     16   the address of three numbers for each method: where it begins and ends, and 1, if it reserves
 """
 
 from __future__ import annotations
@@ -23,12 +30,13 @@ from dataclasses import dataclass
 
 from lfield.bytecode.program import Program
 from lfield.vm.memory.layout import ARRAY, ROOTS, Layouts
-from lfield.vm.memory.shapes import Expected, Shapes
+from lfield.vm.memory.shapes import Expected, Shapes, Stances
 
 _KINDS = 8
 _HEAD = struct.Struct("<20i")
 _RECORD = struct.Struct("<iiii")
 _PAIR = struct.Struct("<ii")
+_STANCE_HEAD = struct.Struct("<5i")
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,6 +72,18 @@ def shape_tables(shapes: Shapes) -> bytes:
         records[half] = Record(size, expects, elements)
     classes = len(shapes.program.core.classes)
     return _tables(records, tuple(shapes.members), _kinds_of(shapes.program), classes)
+
+
+def stance_tables(stances: Stances) -> bytes:
+    """Where coordinators stand."""
+    core, quads = stances.program.core, stances.program.quads
+    calls = [-2 if pc in stances.portal_calls else stances.calls.get(pc, -1) for pc in range(len(quads))]
+    methods = [n for i, m in enumerate(core.methods) for n in (m.entry, m.end, int(i in stances.reserve))]
+    classes = bytes(i in stances.coordinators for i in range(len(core.classes)))
+    classes += bytes(-len(classes) % 4)
+    calls_at = _STANCE_HEAD.size + len(classes)
+    head = len(core.classes), _STANCE_HEAD.size, len(quads), calls_at, calls_at + 4 * len(calls)
+    return _STANCE_HEAD.pack(*head) + classes + struct.pack(f"<{len(calls) + len(methods)}i", *calls, *methods)
 
 
 def _plain(offsets: tuple[int, ...]) -> Expected:

@@ -1,0 +1,131 @@
+;; Whether a travelling coordinator's block is sound in all respects, as lfield/vm/memory/soundness.py tells it in
+;; Python. 1: it is; 0: it is not sure, and Python says. What it begins with, up to its top, has been compared.
+;;
+;; $tables, $block, $top, $starts, $tickets   as of $sound
+;; $stances   address of the tables that say where coordinators stand
+
+(func $travels (export "travels")
+    (param $tables i32) (param $stances i32) (param $block i32) (param $top i64) (param $starts i32)
+    (param $tickets i32)
+    (result i32)
+    (local $class i64) (local $thread i64) (local $at i32)
+    (block $unsure
+        ;; The header: top, interval, clock, tickets, hops, class.
+        (br_if $unsure (i64.lt_u (local.get $top) (i64.const 35)))
+        (br_if $unsure (i64.ne (i64.load offset=40 (local.get $block)) (local.get $top)))
+        (br_if $unsure (i64.gt_u (i64.load offset=256 (local.get $block)) (i64.const 86400000)))
+        (br_if $unsure (i64.ge_u (i64.load offset=264 (local.get $block)) (i64.const 0x4000000000000000)))
+        (br_if $unsure (i64.ge_u (i64.load offset=272 (local.get $block)) (i64.const 0x4000000000000000)))
+        (br_if $unsure (i64.ge_u (i64.load offset=120 (local.get $block)) (i64.const 0x1000000000000)))
+        (local.set $class (i64.load offset=48 (local.get $block)))
+        (br_if $unsure
+            (i64.ge_u (local.get $class) (i64.extend_i32_u (i32.load (local.get $stances)))))
+        (br_if $unsure
+            (i32.eqz
+                (i32.load8_u
+                    (i32.add
+                        (i32.add (local.get $stances) (i32.load offset=4 (local.get $stances)))
+                        (i32.wrap_i64 (local.get $class))))))
+        ;; What is on the heap; of tickets Python knows more.
+        (br_if $unsure
+            (call $sound (local.get $tables) (local.get $block) (i64.const 35) (local.get $top)
+                (local.get $starts) (local.get $tickets)))
+        ;; The roots: itself, its id, one thread that serves nobody, which has the monitor if anybody has.
+        (br_if $unsure
+            (i32.ne
+                (call $thing (local.get $block) (local.get $top) (local.get $starts)
+                    (i64.load offset=56 (local.get $block)))
+                (i32.or (i32.const 1) (i32.shl (i32.wrap_i64 (local.get $class)) (i32.const 8)))))
+        (br_if $unsure
+            (i32.ne
+                (call $thing (local.get $block) (local.get $top) (local.get $starts)
+                    (i64.load offset=64 (local.get $block)))
+                (i32.const 3)))
+        (local.set $thread (i64.load offset=72 (local.get $block)))
+        (br_if $unsure
+            (i32.ne
+                (call $thing (local.get $block) (local.get $top) (local.get $starts) (local.get $thread))
+                (i32.const 6)))
+        (local.set $at (call $at (local.get $block) (local.get $thread)))
+        (br_if $unsure (i64.ne (i64.load offset=40 (local.get $at)) (i64.const 0)))
+        (br_if $unsure (i64.ne (i64.load offset=48 (local.get $at)) (i64.const 0)))
+        (if (i64.ne (i64.load offset=88 (local.get $block)) (i64.const 0))
+            (then
+                (br_if $unsure
+                    (i64.ne
+                        (i64.load offset=88 (local.get $block))
+                        (i64.load offset=8 (local.get $at))))))
+        (return
+            (call $stand (local.get $stances) (local.get $block) (local.get $top) (local.get $starts)
+                (i64.load offset=24 (local.get $at)) (i64.load offset=32 (local.get $at)))))
+    (i32.const 0))
+
+;; Whether frames are one chain, each behind its call, of methods that reserve nothing, and the first of them at
+;; a place where coordinators travel.
+(func $stand
+    (param $stances i32) (param $block i32) (param $top i64) (param $starts i32) (param $frame i64)
+    (param $pc i64)
+    (result i32)
+    (local $calls i32) (local $half i32) (local $method i32) (local $callee i32) (local $depth i64)
+    (local $at i32)
+    (local.set $calls (i32.add (local.get $stances) (i32.load offset=12 (local.get $stances))))
+    (local.set $callee (i32.const -1))
+    (block $unsure
+        (br_if $unsure
+            (i64.ge_u (local.get $pc) (i64.extend_i32_u (i32.load offset=8 (local.get $stances)))))
+        (br_if $unsure
+            (i32.ne
+                (i32.load (call $number (local.get $calls) (local.get $pc)))
+                (i32.const -2)))
+        (loop $next
+            (local.set $half
+                (call $thing (local.get $block) (local.get $top) (local.get $starts) (local.get $frame)))
+            (br_if $unsure (i32.ne (i32.and (local.get $half) (i32.const 255)) (i32.const 5)))
+            (local.set $at (call $at (local.get $block) (local.get $frame)))
+            (local.set $method
+                (i32.add
+                    (i32.add (local.get $stances) (i32.load offset=16 (local.get $stances)))
+                    (i32.mul (i32.shr_u (local.get $half) (i32.const 8)) (i32.const 12))))
+            (br_if $unsure
+                (i64.le_s (local.get $pc) (i64.load32_s (local.get $method))))
+            (br_if $unsure
+                (i64.ge_s (local.get $pc) (i64.load32_s offset=4 (local.get $method))))
+            (br_if $unsure (i32.load offset=8 (local.get $method)))
+            (if (i32.ge_s (local.get $callee) (i32.const 0))
+                (then
+                    (br_if $unsure
+                        (i64.ne
+                            (i64.load offset=24 (local.get $at))
+                            (i64.sub (local.get $depth) (i64.const 1))))
+                    (br_if $unsure
+                        (i32.ne
+                            (i32.load
+                                (call $number (local.get $calls)
+                                    (i64.sub (local.get $pc) (i64.const 1))))
+                            (local.get $callee)))))
+            (local.set $callee (i32.shr_u (local.get $half) (i32.const 8)))
+            (local.set $depth (i64.load offset=24 (local.get $at)))
+            (local.set $pc (i64.load offset=16 (local.get $at)))
+            (local.set $frame (i64.load offset=8 (local.get $at)))
+            (br_if $unsure (i64.lt_s (local.get $depth) (i64.const 1)))
+            (br_if $next (i64.ne (local.get $frame) (i64.const 0)))
+            (return (i64.eq (local.get $depth) (i64.const 1)))))
+    (i32.const 0))
+
+;; The low half of the header of what begins at a place of the heap; 255 where nothing does.
+(func $thing (param $block i32) (param $top i64) (param $starts i32) (param $place i64) (result i32)
+    (if (i64.ge_u (local.get $place) (local.get $top)) (then (return (i32.const 255))))
+    (if (i32.and
+            (i32.shr_u
+                (i32.load8_u
+                    (i32.add
+                        (local.get $starts)
+                        (i32.wrap_i64 (i64.shr_u (local.get $place) (i64.const 3)))))
+                (i32.and (i32.wrap_i64 (local.get $place)) (i32.const 7)))
+            (i32.const 1))
+        (then (return (i32.load (call $at (local.get $block) (local.get $place))))))
+    (i32.const 255))
+
+;; The address of one of many numbers of 32 bits.
+(func $number (param $first i32) (param $which i64) (result i32)
+    (i32.add (local.get $first) (i32.shl (i32.wrap_i64 (local.get $which)) (i32.const 2))))
