@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 from lfield.vm.contract import Limits, Reading
 from lfield.vm.memory import layout
@@ -22,7 +22,6 @@ class Member:
     arguments: tuple[str, ...] = ()
 
 
-@dataclass(slots=True, eq=False)
 class Agent:
     """An agent that is here. None of its execution state is outside `block`.
 
@@ -46,38 +45,46 @@ class Agent:
     its host last asked.
     """
 
-    member: Member
-    block: Block
-    limits: Limits
-    readings: list[Reading | None]
-    open: bool = False
-    frozen: bool = False
-    ended: str = ""
-    report: str = ""
-    served: int = 0
-    waiting: list[tuple[Agent, int]] = field(default_factory=list)
-    blocked: list[int] = field(default_factory=list)
-    lines: dict[int, str] = field(default_factory=dict)
-    polls: dict[int, int] = field(default_factory=dict)
-    seen: bytes = b""
-    polled: bool = False
-    asked: set[int] = field(default_factory=set)
-    pollers: set[int] = field(default_factory=set)
-    kept: bool = False
-    fenced: bool = False
-    callers: dict[str, tuple[int, int]] = field(default_factory=dict)
-    cancels: dict[int, str] = field(default_factory=dict)
-    reserved: bool = False
-    offset: int = 0
-    alarm: float = math.inf
-    overdue: bool = False
-    over: str = ""
-    fetched: list[tuple[str, int, int]] = field(default_factory=list)
-    #: The id of the deployment.
-    id: str = field(init=False)
+    open: bool
+    frozen: bool
+    kept: bool
+    ended = ""
+    report = ""
+    served = 0
+    seen = b""
+    polled = False
+    fenced = False
+    reserved = False
+    offset = 0
+    alarm = math.inf
+    overdue = False
+    over = ""
 
-    def __post_init__(self) -> None:
-        self.id = self.member.id
+    # By hand, and with what seldom changes in the class: one is made at every hop.
+    def __init__(
+        self,
+        member: Member,
+        block: Block,
+        limits: Limits,
+        readings: list[Reading | None],
+        *,
+        open: bool,
+        frozen: bool = False,
+        kept: bool = False,
+    ) -> None:
+        self.member, self.block, self.limits, self.readings = member, block, limits, readings
+        self.open, self.frozen, self.kept = open, frozen, kept
+        #: The id of the deployment.
+        self.id = member.id
+        self.waiting: list[tuple[Agent, int]] = []
+        self.blocked: list[int] = []
+        self.lines: dict[int, str] = {}
+        self.polls: dict[int, int] = {}
+        self.asked: set[int] = set()
+        self.pollers: set[int] = set()
+        self.callers: dict[str, tuple[int, int]] = {}
+        self.cancels: dict[int, str] = {}
+        self.fetched: list[tuple[str, int, int]] = []
 
     @property
     def hops(self) -> int:

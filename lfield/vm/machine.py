@@ -110,6 +110,8 @@ class Machine:
         self._together = Together(scheduler, self._visits, held, cancelling, self._limits)
         heads = {**self._together.heads(), **Reserving(scheduler, held, here).heads()}
         self._outsiders = Outsiders(scheduler, team, here, dice, cancelling, self._limits, held, heads)
+        #: Where the thread is whose turn it is.
+        self._place = 0
         #: What each exit of the engine asks for.
         self._exits: dict[type[Exit], Callable[[Agent, int, Any], None]] = {
             Outside: self._outsiders.carry_out,
@@ -354,19 +356,20 @@ class Machine:
         """So many instructions of one thread, and whatever its exit asks for; how many it has taken."""
         if agent.ended or agent.frozen:
             return 0
-        scheduler, place = self._scheduler, place_of(agent.block, thread)
-        leave = self.engine.run(agent.block, place, budget, agent.limits, agent.readings)
-        used = budget - self.engine.unused
+        engine, block = self.engine, agent.block
+        self._place = place_of(block, thread)
+        leave = engine.run(block, self._place, budget, agent.limits, agent.readings)
+        used = budget - engine.unused
         if self.attached.meter is not None:
             self.attached.meter(used)
-        if agent.polls and self.engine.asked:
+        if agent.polls and engine.asked:
             agent.asked.add(thread)
         if agent.blocked:
-            scheduler.unblock(agent)
+            self._scheduler.unblock(agent)
         agent.polled = False
         self._exits[type(leave)](agent, thread, leave)
-        if not agent.polled and (agent.seen or agent.pollers):
-            scheduler.stir(agent)
+        if (agent.seen or agent.pollers) and not agent.polled:
+            self._scheduler.stir(agent)
         return used
 
     def _blocked(self, agent: Agent, thread: int, leave: Exit) -> None:
@@ -380,7 +383,7 @@ class Machine:
         scheduler = self._scheduler
         if agent.lines:
             scheduler.flush(agent, thread)
-        call = agent.block.w[place_of(agent.block, thread) + THREAD_CALL]
+        call = agent.block.w[self._place + THREAD_CALL]
         if call:
             portals.finish(scheduler, agent, thread, call, leave.word)
         elif agent.member.kind == "coordinator":

@@ -22,6 +22,7 @@ from lfield.vm.memory.layout import (
     W_GENERATION,
     W_SELF,
     W_SEQUENCE,
+    W_THREADS,
 )
 from lfield.vm.memory.parcels import parcel_made, parcel_of, plain_parcel
 from lfield.vm.memory.threads import count, new_thread, place_of, threads
@@ -50,7 +51,9 @@ def call(
     except Trap as trap:
         scheduler.refuse(caller, thread, trap.kind, trap.message, member.id)
         return
-    caller.block.w[place_of(caller.block, thread) + THREAD_STATE] = CALLING
+    w = caller.block.w
+    # Who calls is a coordinator, and has no other thread.
+    w[w[W_THREADS] + THREAD_STATE] = CALLING
     if not resource.open:
         resource.waiting.append((caller, thread))
         return
@@ -277,7 +280,7 @@ def _return(scheduler: Scheduler, resource: Agent, caller: Agent, waiter: int, w
         scheduler.refuse(caller, waiter, "TimeLimitException", caller.over, resource.id)
         return
     w = caller.block.w
-    place = place_of(caller.block, waiter)
+    place = w[W_THREADS]
     if word and scheduler.engine.groups[w[place + THREAD_PC]].kind in REFERENCES:
         scheduler.complete(
             caller, waiter, lambda: deep_copy(resource.block, [word], caller.block, scheduler.layouts)[0]

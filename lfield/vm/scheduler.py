@@ -28,6 +28,7 @@ from lfield.vm.memory.layout import (
     THREAD_CALL,
     THREAD_PC,
     THREAD_STATE,
+    W_THREADS,
     Layouts,
 )
 from lfield.vm.memory.parcels import parcel_made
@@ -187,8 +188,9 @@ class Scheduler:
             self.uncaught(agent, thread, thrown)
 
     def freeze(self, agent: Agent, thread: int) -> None:
-        """Hold a coordinator at its portal call."""
-        agent.block.w[place_of(agent.block, thread) + THREAD_STATE] = CALLING
+        """Hold a coordinator, which has no other thread, at its portal call."""
+        w = agent.block.w
+        w[w[W_THREADS] + THREAD_STATE] = CALLING
         agent.frozen = True
 
     def stir(self, agent: Agent) -> None:

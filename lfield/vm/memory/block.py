@@ -35,14 +35,14 @@ class Block:
     """A block in memory: its bytes, seen as ints (`w`) and as reals (`r`), from a `space` that has more.
 
     `top` is the first unused word, `end` the first one that may not be used, `limit` the most words the heap
-    may have. The views belong to the bytes of the moment: whoever collects or grows a block must take them
-    again.
+    may have, `packed` where the top was when there was no garbage, 0 if never. The views belong to the bytes
+    of the moment: whoever collects or grows a block must take them again.
     """
 
-    __slots__ = ("data", "end", "limit", "r", "space", "top", "w")
+    __slots__ = ("data", "end", "limit", "packed", "r", "space", "top", "w")
 
     def __init__(self, data: Buffer, top: int, limit: int, space: Space = SEPARATE) -> None:
-        self.limit, self.space = limit, space
+        self.limit, self.space, self.packed = limit, space, 0
         self.replace(data, top)
 
     @classmethod

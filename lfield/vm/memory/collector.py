@@ -14,6 +14,10 @@ _NEW_WORDS = memoryview(bytes(8 * HEADER_WORDS)).cast("q")
 
 #: Up to so many words a block grows only because it is filled often: 128 KiB.
 GENEROUS = 1 << 14
+#: Up to so many words a block is one packet on most networks, 1 KiB: a little less makes no difference.
+PACKET = 1 << 7
+#: So many bytes more than it needs a block that travels may keep: to move it costs more.
+SPARE = 1 << 12
 
 
 def collect(block: Block, layouts: Layouts, room: int = 0) -> None:
@@ -30,12 +34,19 @@ def collect(block: Block, layouts: Layouts, room: int = 0) -> None:
     most = block.limit if top + room <= block.limit else block.limit + RESERVE_WORDS
     words = max(top, min(wanted, most))
     block.replace(block.space.sized(data, 8 * words), top)
+    block.packed = top
 
 
 def compact(block: Block, layouts: Layouts) -> None:
-    """Compact the block and leave no room at all: it is about to travel."""
+    """Compact the block and leave little room or none: it is about to travel.
+
+    Not when it is one packet and no larger than when it had no garbage: most visits leave nothing behind.
+    """
+    if block.packed == block.top <= PACKET:
+        return
     data, top = _compact(block, layouts)
-    block.replace(block.space.sized(data, 8 * top), top)
+    block.replace(data if len(data) <= 8 * top + SPARE else block.space.sized(data, 8 * top), top)
+    block.packed = top
 
 
 def _compact(block: Block, layouts: Layouts, least: int = 0) -> tuple[Buffer, int]:

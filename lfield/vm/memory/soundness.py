@@ -79,7 +79,9 @@ class Soundness:
         if size <= 8 * limit and not size % 8 and image[:_BEFORE_TOP] == self._beginning:
             data = self._copied(image, limit)
             if self._space.travels(data, size // 8, self.stances):
-                return Block(data, size // 8, limit, self._space)
+                block = Block(data, size // 8, limit, self._space)
+                block.packed = block.top
+                return block
         # It is of an earlier version, or not sound, or nobody is sure.
         block = self._adopt(image, limit)
         if block.w[layout.W_MAGIC] not in (_MAGIC, _EARLIER_MAGIC):
@@ -88,6 +90,7 @@ class Soundness:
         if block.w[layout.W_MAGIC] == _EARLIER_MAGIC:
             # It is moved, and has the header of today afterwards.
             collect(block, self._layouts)
+        block.packed = block.top
         return block
 
     def is_parcel(self, parcel: bytes, thrown: bool) -> bool:

@@ -5,7 +5,14 @@ from __future__ import annotations
 from lfield.vm.contract import BLOCKED, Done, Outside, Trap
 from lfield.vm.memory import layout
 from lfield.vm.memory.block import template
-from lfield.vm.memory.layout import FRAME, FRAME_CALLER, FRAME_DEPTH, FRAME_RETURN, FRAME_SLOTS
+from lfield.vm.memory.layout import (
+    FRAME,
+    FRAME_CALLER,
+    FRAME_DEPTH,
+    FRAME_RETURN,
+    FRAME_SLOTS,
+    THREAD_ID,
+)
 from lfield.vm.reference.registers import LEAVE, Registers, Step, null_use
 
 #: An argument as prepared: the slot it is in, or None and the word of the constant.
@@ -46,11 +53,11 @@ def enter(synchronized: bool, after: int) -> Step:
 
     def step(m: Registers) -> int:
         w = m.w
-        owner = w[layout.W_OWNER]
-        if owner and owner != m.thread:
+        owner, thread = w[layout.W_OWNER], w[m.place + THREAD_ID]
+        if owner and owner != thread:
             m.exit = BLOCKED
             return LEAVE
-        w[layout.W_OWNER] = m.thread
+        w[layout.W_OWNER] = thread
         w[layout.W_ENTRIES] += 1
         return after
 
@@ -101,9 +108,7 @@ def outside(arguments: list[Argument], op: int, operand: int, checked: dict[int,
 
     def step(m: Registers) -> int:
         w, slots = m.w, m.slots
-        words = []
-        for slot, constant in arguments:
-            words.append(constant if slot is None else w[slots + slot])
+        words = [constant if slot is None else w[slots + slot] for slot, constant in arguments]
         for number, what in must:
             if not words[number]:
                 raise null_use(what)

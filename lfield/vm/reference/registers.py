@@ -26,10 +26,10 @@ class Registers:
         "now",
         "others",
         "pc",
+        "place",
         "r",
         "readings",
         "slots",
-        "thread",
         "w",
     )
 
@@ -40,8 +40,8 @@ class Registers:
     slots: int
     #: The instruction that has raised something, then the one to go on at.
     pc: int
-    #: The id of the running thread: the owner of a monitor it takes.
-    thread: int
+    #: Where the record of the running thread is.
+    place: int
     exit: Exit
     #: One for each instruction that may be done yet.
     instructions: Iterator[None]

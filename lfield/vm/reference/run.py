@@ -12,7 +12,6 @@ from lfield.vm.memory.block import Block, Full
 from lfield.vm.memory.layout import (
     FRAME_SLOTS,
     THREAD_FRAME,
-    THREAD_ID,
     THREAD_PC,
     Layouts,
 )
@@ -37,6 +36,9 @@ class Engine:
         self._registers.builtins = program.builtins
         self._registers.others = program.others
         self._registers.class_names = self.prepared.class_names
+        #: Whether the last run has read what is beyond the block, and how many instructions of its budget it
+        #: has not used.
+        self.asked, self.unused = False, 0
 
     @property
     def layouts(self) -> Layouts:
@@ -47,16 +49,6 @@ class Engine:
     def groups(self) -> Mapping[int, Group]:
         """The groups of the program, by their first instruction."""
         return self.prepared.groups
-
-    @property
-    def asked(self) -> bool:
-        """Whether the last run has read what is beyond the block."""
-        return self._registers.asked
-
-    @property
-    def unused(self) -> int:
-        """How many instructions of its budget the last run has not used."""
-        return length_hint(self._registers.instructions)
 
     def run(
         self,
@@ -80,7 +72,7 @@ class Engine:
         m.limits, m.readings, m.asked = limits, readings, False
         m.frame = frame = w[thread + THREAD_FRAME]
         m.slots = frame + FRAME_SLOTS
-        m.thread = w[thread + THREAD_ID]
+        m.place = thread
         m.exit = SPENT
         m.instructions = instructions = repeat(None, budget)
         steps = self.prepared.steps
@@ -108,6 +100,7 @@ class Engine:
                     m.exit, going = STOPPED, False
         w[thread + THREAD_FRAME] = m.frame
         w[thread + THREAD_PC] = at
+        self.asked, self.unused = m.asked, length_hint(instructions)
         return m.exit
 
     def _go_to(self, m: Registers, pc: int, stops: Container[int]) -> int:

@@ -52,8 +52,8 @@ class Engine:
         self._asks = self._reference.prepared.asks
         self._registers = self.space.view(0, 8 * len(REGISTERS))
         self._enter = quick(store, instance, "run", 0)
-        self._left = 0
-        self._asked = False
+        #: As of the reference engine.
+        self.asked, self.unused = False, 0
 
     @property
     def layouts(self) -> Layouts:
@@ -65,16 +65,6 @@ class Engine:
         """The groups of the program, by their first instruction."""
         return self._reference.groups
 
-    @property
-    def asked(self) -> bool:
-        """Whether the last run has read what is beyond the block."""
-        return self._asked
-
-    @property
-    def unused(self) -> int:
-        """How many instructions of its budget the last run has not used."""
-        return self._left
-
     def run(
         self,
         block: Block,
@@ -84,12 +74,13 @@ class Engine:
         readings: Sequence[Reading | None] = (),
     ) -> Exit:
         """As `lfield.vm.reference.Engine.run`."""
-        first = min(self.first, budget)
-        self._left, self._asked = first, False
-        leave: Exit = SPENT
-        if first:
-            leave = self._refer(block, thread, limits, readings, None)
-        self._left += budget - first
+        first = self.first
+        if first <= 0 or first >= budget:
+            self.asked, self.unused = False, budget
+            return self._go_on(block, thread, limits, readings)
+        reference = self._reference
+        leave = reference.run(block, thread, first, limits, readings)
+        self.asked, self.unused = reference.asked, reference.unused + budget - first
         return leave if leave is not SPENT else self._go_on(block, thread, limits, readings)
 
     def _go_on(self, block: Block, thread: int, limits: Limits, readings: Sequence[Reading | None]) -> Exit:
@@ -98,13 +89,13 @@ class Engine:
         if base < 0:
             return self._refer(block, thread, limits, readings, None)
         points, w = self.points, block.w
-        while self._left > 0:
+        while self.unused > 0:
             status = STEP
             if point := points.get(w[thread + THREAD_PC], 0):
                 status, word = self._resume(block, thread, base, point, limits)
                 if status == DONE:
                     return Done(word)
-                if not self._left:
+                if not self.unused:
                     return SPENT
             ask = self._asks.get(w[thread + THREAD_PC])
             if ask is not None and (leave := self._ask(block, thread, ask)) is not None:
@@ -125,9 +116,9 @@ class Engine:
     ) -> Exit:
         """Let the reference engine go on."""
         reference = self._reference
-        leave = reference.run(block, thread, self._left, limits, readings, stops)
-        self._left = reference.unused
-        self._asked = self._asked or reference.asked
+        leave = reference.run(block, thread, self.unused, limits, readings, stops)
+        self.unused = reference.unused
+        self.asked = self.asked or reference.asked
         return leave
 
     def _ask(self, block: Block, thread: int, ask: Ask) -> Exit | None:
@@ -138,7 +129,7 @@ class Engine:
         for number in ask.checked:
             if not words[number]:
                 return None
-        self._left -= 1
+        self.unused -= 1
         return Outside(ask.op, ask.operand, words)
 
     def _resume(self, block: Block, thread: int, base: int, point: int, limits: Limits) -> tuple[int, int]:
@@ -159,10 +150,10 @@ class Engine:
             w[thread + THREAD_ID],
             base + 8 * block.top,
             base + 8 * w[thread + THREAD_FRAME],
-            self._left,
+            self.unused,
         )
         status = unsigned(self._enter())
-        top, frame, self._left, w[thread + THREAD_PC], word = _told(self._registers, 8 * len(GIVEN))
+        top, frame, self.unused, w[thread + THREAD_PC], word = _told(self._registers, 8 * len(GIVEN))
         block.top = top - base >> 3
         w[thread + THREAD_FRAME] = frame - base >> 3
         return status, word

@@ -62,8 +62,12 @@ def test_a_block_grows_shrinks_and_is_collected_in_the_arena() -> None:
         assert block.string(block.w[layout.W_ID]) == "who"
     assert len({bytes(block.image()) for block in blocks}) == 1
     assert len({block.end for block in blocks}) == 1
+    # One of one packet that has had nothing new is left as it is.
     compact(blocks[0], Layouts(PROGRAM))
-    assert blocks[0].end == blocks[0].top
+    assert blocks[0].end > blocks[0].top == blocks[0].packed
+    blocks[0].new_string("y" * 5000)
+    compact(blocks[0], Layouts(PROGRAM))
+    assert blocks[0].end == blocks[0].top == blocks[0].packed
     assert arena.base(blocks[0].data) >= 0
 
 

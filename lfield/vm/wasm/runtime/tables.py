@@ -83,7 +83,8 @@ def stance_tables(stances: Stances) -> bytes:
     classes += bytes(-len(classes) % 4)
     calls_at = _STANCE_HEAD.size + len(classes)
     head = len(core.classes), _STANCE_HEAD.size, len(quads), calls_at, calls_at + 4 * len(calls)
-    return _STANCE_HEAD.pack(*head) + classes + struct.pack(f"<{len(calls) + len(methods)}i", *calls, *methods)
+    numbers = struct.pack(f"<{len(calls) + len(methods)}i", *calls, *methods)
+    return _STANCE_HEAD.pack(*head) + classes + numbers
 
 
 def _plain(offsets: tuple[int, ...]) -> Expected:
