@@ -84,7 +84,7 @@ class Machine:
         self.team = team
         self._here, self._world, self._fenced = here, world, fenced
         self._scheduler = scheduler = Scheduler(
-            program, 1 + life % (layout.START_LIMIT - 1), world, clock, self._portal_failed, engines or Engine
+            program, 1 + life % (layout.START_LIMIT - 1), world, clock, portals.fail, engines or Engine
         )
         #: The agents that are here, by id.
         self.agents = scheduler.agents
@@ -110,8 +110,7 @@ class Machine:
         self._together = Together(scheduler, self._visits, held, cancelling, self._limits)
         heads = {**self._together.heads(), **Reserving(scheduler, held, here).heads()}
         self._outsiders = Outsiders(scheduler, team, here, dice, cancelling, self._limits, held, heads)
-        #: Where the thread is whose turn it is.
-        self._place = 0
+        self._place = 0  # where the thread is whose turn it is
         #: What each exit of the engine asks for.
         self._exits: dict[type[Exit], Callable[[Agent, int, Any], None]] = {
             Outside: self._outsiders.carry_out,
@@ -356,9 +355,9 @@ class Machine:
         """So many instructions of one thread, and whatever its exit asks for; how many it has taken."""
         if agent.ended or agent.frozen:
             return 0
-        engine, block = self.engine, agent.block
-        self._place = place_of(block, thread)
-        leave = engine.run(block, self._place, budget, agent.limits, agent.readings)
+        engine = self.engine
+        place = self._place = place_of(agent.block, thread)
+        leave = engine.run(agent.block, place, budget, agent.limits, agent.readings)
         used = budget - engine.unused
         if self.attached.meter is not None:
             self.attached.meter(used)
@@ -393,9 +392,6 @@ class Machine:
         else:
             scheduler.forget(agent, thread)
             scheduler.open(agent)
-
-    def _portal_failed(self, resource: Agent, thread: int, call: int, thrown: int) -> None:
-        portals.fail(self._scheduler, resource, thread, call, thrown)
 
 
 def _only_thread(coordinator: Agent) -> int:

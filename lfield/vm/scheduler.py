@@ -43,8 +43,8 @@ T = TypeVar("T")
 class Scheduler:
     """Agents by id, their turns, and the portal calls under way.
 
-    `life` is the number of this life of the host. `failed(served, thread, call, thrown)` is told when the
-    portal that a thread serves ends by an exception that nobody in it catches; `thrown` is the object's place
+    `life` is the number of this life of the host. `failed(self, served, thread, call, thrown)` is told when
+    the portal that a thread serves ends by an exception that nobody in it catches; `thrown` is where it is
     in the block of `served`.
     """
 
@@ -54,7 +54,7 @@ class Scheduler:
         life: int,
         world: World,
         clock: Clock,
-        failed: Callable[[Agent, int, int, int], None],
+        failed: Callable[[Scheduler, Agent, int, int, int], None],
         engines: Engines,
     ) -> None:
         self.program = program
@@ -255,7 +255,7 @@ class Scheduler:
         call = agent.block.w[place_of(agent.block, thread) + THREAD_CALL]
         if call:
             self.flush(agent, thread)
-            self._failed(agent, thread, call, thrown)
+            self._failed(self, agent, thread, call, thrown)
             return
         name, message, trace = traceback.describe(agent.block, self.program, thrown)
         self.die(agent, f"{name}: {message}" if message else name, thread, trace)

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 from functools import partial
-from typing import Any
 
 from lfield.clock import Clock
 from lfield.errors import BlockError
@@ -90,19 +89,6 @@ class Coordinators:
         #: When mobility may have something to give up. A new deadline is later than those before, so one that
         #: is set stays until it has come.
         self._due: float | None = None
-        #: What each effect asks for.
-        self._does: dict[type[mobile.Effect], Callable[[Any], None]] = {
-            mobile.SendTransfer: self._send_transfer,
-            mobile.Send: self._send,
-            mobile.Go: self._go,
-            mobile.Began: lambda effect: self._start(effect.agent, effect.generation),
-            mobile.Departed: self._departed,
-            mobile.Resume: self._thaw,
-            mobile.InDoubt: self._doubt,
-            mobile.Supersede: self._supersede,
-            mobile.Finished: lambda effect: self._drop(effect.agent, effect.generation),
-            mobile.Note: lambda effect: self.say(effect.reason),
-        }
 
     # --- time -----------------------------------------------------------------------------------------
 
@@ -350,40 +336,40 @@ class Coordinators:
             self._effect(effect)
 
     def _effect(self, effect: mobile.Effect) -> None:
-        self._does[type(effect)](effect)
-
-    def _send_transfer(self, effect: mobile.SendTransfer) -> None:
-        self._sent_to[effect.header.agent] = effect.host
-        self._out(effect)
-
-    def _send(self, effect: mobile.Send) -> None:
-        if isinstance(effect.message, Accepted):
-            self._answers.append((effect.message.agent, effect))
-        else:
-            self._out(effect)
-
-    def _go(self, effect: mobile.Go) -> None:
-        self._saving.discard(effect.agent)
-        if agent := self._held(effect.agent, effect.generation):
-            agent.kept = True
-            self._machine.go(agent)
-
-    def _departed(self, effect: mobile.Departed) -> None:
-        if agent := self._held(effect.agent, effect.generation):
-            self._machine.release(agent)
-
-    def _thaw(self, effect: mobile.Resume) -> None:
-        if agent := self._held(effect.agent, effect.generation):
-            agent.block.w[layout.W_SEQUENCE] = effect.sequence
-            self._resume(agent, effect.kind, effect.reason, recovered=effect.recovered)
-
-    def _doubt(self, effect: mobile.InDoubt) -> None:
-        self.say(f"{effect.agent} is in doubt: {effect.reason}")
-        self._out(CHANGED)
-
-    def _supersede(self, effect: mobile.Supersede) -> None:
-        self.say(f"{effect.agent} stopped: {effect.reason}")
-        self._drop(effect.agent, effect.generation)
+        match effect:
+            # Those of every hop come first.
+            case mobile.SendTransfer():
+                self._sent_to[effect.header.agent] = effect.host
+                self._out(effect)
+            case mobile.Go():
+                self._saving.discard(effect.agent)
+                if agent := self._held(effect.agent, effect.generation):
+                    agent.kept = True
+                    self._machine.go(agent)
+            case mobile.Send():
+                if isinstance(effect.message, Accepted):
+                    self._answers.append((effect.message.agent, effect))
+                else:
+                    self._out(effect)
+            case mobile.Departed():
+                if agent := self._held(effect.agent, effect.generation):
+                    self._machine.release(agent)
+            case mobile.Began():
+                self._start(effect.agent, effect.generation)
+            case mobile.Resume():
+                if agent := self._held(effect.agent, effect.generation):
+                    agent.block.w[layout.W_SEQUENCE] = effect.sequence
+                    self._resume(agent, effect.kind, effect.reason, recovered=effect.recovered)
+            case mobile.InDoubt():
+                self.say(f"{effect.agent} is in doubt: {effect.reason}")
+                self._out(CHANGED)
+            case mobile.Supersede():
+                self.say(f"{effect.agent} stopped: {effect.reason}")
+                self._drop(effect.agent, effect.generation)
+            case mobile.Finished():
+                self._drop(effect.agent, effect.generation)
+            case mobile.Note():
+                self.say(effect.reason)
 
     def _resume(self, agent: Agent, kind: str, reason: str, *, recovered: bool = False) -> None:
         """Let a frozen coordinator go on with an exception, which names the resource that it has called."""

@@ -306,4 +306,3 @@ class Soundness:
 
 def _is_count(number: int) -> bool:
     return 0 <= number < COUNT_LIMIT
-
