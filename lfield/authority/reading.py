@@ -30,11 +30,28 @@ def identity_in(certificate: bytes, authority: bytes) -> Identity:
 
 def identity_in_der(certificate: bytes, authority: bytes) -> Identity:
     """The same of a certificate in DER, as it travels."""
-    if len(certificate) > MAX_PEM:
-        raise KeysError("its certificate is too large")
-    return identity_of_certificate(
-        _sound("its certificate", lambda: x509.load_der_x509_certificate(certificate)), authority
-    )
+    return identity_of_certificate(certificate_in_der(certificate), authority)
+
+
+def certificate_in_der(data: bytes) -> x509.Certificate:
+    """A certificate in DER. Raises KeysError."""
+    if len(data) > MAX_PEM:
+        raise KeysError("the certificate is too large")
+    return _sound("the certificate", lambda: x509.load_der_x509_certificate(data))
+
+
+def der_of(certificate: bytes) -> bytes:
+    """A certificate in a PEM text, as it travels. Raises KeysError."""
+    return certificate_in(certificate).public_bytes(Encoding.DER)
+
+
+def is_signed_by(certificate: x509.Certificate, signature: bytes, text: bytes) -> bool:
+    """Whether the key of a certificate has signed a text. Raises KeysError for one of another kind."""
+    try:
+        public_in(certificate).verify(signature, text)
+    except InvalidSignature:
+        return False
+    return True
 
 
 def identity_of_certificate(certificate: x509.Certificate, authority: bytes) -> Identity:
