@@ -11,9 +11,10 @@ clock that is behind takes certificates that have ended. So it is the latest of 
   peer that says more says that it has ended itself, and proves nothing.
 
 A time that is too late only ever refuses more, so nobody gets in by lying; a host of the team that lies can
-have others refused, up to the end of its own certificate, and `line` names it. What the team says is
-not kept: after a restart a computer hears it again from whomever it links with, and a lie does not outlive
-the liar's link. Time goes on from each of these by the clock that never goes back.
+have others refused, up to the end of its own certificate, and `line` names it. What the team says is neither
+kept nor passed on: after a restart a computer hears it again from whomever it links with, and a lie is gone
+with the liar, when two hosts would otherwise go on telling it to each other. Time goes on from each of these
+by the clock that never goes back.
 """
 
 from __future__ import annotations
@@ -53,13 +54,17 @@ class BelievedTime:
         if who.kind in ("host", "person") and who.begins <= at < who.ends:
             self._told = max(self._told, (at - self._clock.monotonic(), f"{who} says so"))
 
+    def to_say(self) -> float:
+        """What to tell the team in greetings: without what others have told."""
+        return max(self._clock.time(), self._clock.monotonic() + self._proven[0])
+
     def to_keep(self, ends: float = math.inf) -> float:
         """What to keep for after a restart, without the team's word.
 
         Not later than the own certificate `ends`: a clock that was wrong for a moment must not bar the next
         one, which is made when the right time is before that.
         """
-        return min(max(self._clock.time(), self._clock.monotonic() + self._proven[0]), ends)
+        return min(self.to_say(), ends)
 
     def line(self) -> str:
         """What to tell when the clock is behind what is believed; '' when it is not."""
