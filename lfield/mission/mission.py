@@ -14,6 +14,7 @@ from lfield.bytecode.program import Program
 from lfield.capability.model import Registry, Value
 from lfield.driver.binding import SIMULATED, DeviceBinding
 from lfield.driver.known import Drivers, KnownDrivers
+from lfield.mission.access.rules import UNWRITTEN, Access, Calls
 from lfield.mission.bindings import Bindings, Frames, Needed, Recovery, chosen_fakes, on_fakes
 from lfield.mission.team import Team
 
@@ -26,7 +27,7 @@ World = Literal["", "fakes", "hardware"]
 
 @dataclass(frozen=True, slots=True)
 class Mission:
-    """Program, team, bindings, and the `drivers` of its devices.
+    """Program, team, bindings, the `drivers` of its devices, and who may do what: `access`.
 
     The `registry` is None when the program names no capability; its live attributes are in their own units.
     `warnings` are what the compiler had to say, drawn, and which fakes were chosen.
@@ -39,6 +40,7 @@ class Mission:
     drivers: Drivers
     registry: Registry | None = None
     warnings: tuple[str, ...] = ()
+    access: Access = UNWRITTEN
 
     @property
     def stated(self) -> Registry | None:
@@ -54,6 +56,13 @@ class Mission:
     def needed(self) -> Needed:
         """For each agent its device fields and their device types."""
         return needed_devices(self.program, self.team)
+
+    @property
+    def calls(self) -> Calls | None:
+        """What its rules say of portal calls; None where every coordinator may call everything."""
+        if not self.access.callers:
+            return None
+        return Calls(self.access, self.team.members, [m.name for m in self.program.core.methods])
 
     def devices_of(self, host: str) -> list[DeviceBinding]:
         """The devices of the agents that the deployment puts on a host."""
