@@ -12,13 +12,14 @@ capability means is written down then, so a robot needs no registry to know what
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Final, Literal, Protocol
 
 import msgspec
 
 from lfield.authority.identity import Identity, Right, in_order, with_brought
+from lfield.capability.model import Registry
 from lfield.text.suggest import listed
 
 #: Whoever, or whatever, no other line names.
@@ -207,11 +208,33 @@ class Calls:
             self._told[call] = told
         return told
 
-    def of_any(self, coordinator: str, resource: str, portals: Collection[str]) -> str:
-        """Why the first of some portals must not be called that must not, '' when all may."""
-        team = self._team
-        said = (self._access.refusal(team[coordinator], team[resource], portal) for portal in portals)
-        return next(filter(None, said), "")
+
+class Barred:
+    """By primitive, why a coordinator may not call an agent for it: by all the portals that serve it.
+
+    Kept for each pair, always as the same mapping. Whoever asks from outside (`''`) calls nothing.
+    """
+
+    def __init__(self, access: Access, team: Iterable[Known], registry: Registry) -> None:
+        self._access, self._providers = access, registry.providers
+        self._team = {agent.id: agent for agent in team}
+        self._told: dict[tuple[str, str], Mapping[str, str]] = {}
+
+    def __call__(self, coordinator: str, resource: str) -> Mapping[str, str]:
+        """Of an agent of a type that the registry knows."""
+        told = self._told.get((coordinator, resource))
+        if told is None:
+            told = self._told[coordinator, resource] = dict(self._barred(coordinator, resource))
+        return told
+
+    def _barred(self, coordinator: str, resource: str) -> Iterator[tuple[str, str]]:
+        asker, agent = self._team.get(coordinator), self._team[resource]
+        if asker is None:
+            return
+        for primitive, served in self._providers[agent.type].serves.items():
+            ways = served.portals.values()
+            if why := next(filter(None, (self._access.refusal(asker, agent, w.target) for w in ways)), ""):
+                yield primitive, why
 
 
 _encoder, _decoder = msgspec.msgpack.Encoder(), msgspec.msgpack.Decoder(Access)
