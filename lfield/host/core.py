@@ -151,6 +151,7 @@ class HostCore:
             self.mission.max_block,
             coordinators,
             self.mission.registry.digest if self.mission.registry is not None else b"",
+            self.mission.access.digest,
             self.mission.world,
             self._memory,
             str(self.mission.recovery) if self.mission.fenced else "",

@@ -103,3 +103,18 @@ def test_an_uncaught_refusal_ends_its_coordinator_with_the_rule_in_its_report(fl
         assert hosts[1].log.count("far sinks") == 1
 
     fleet(story)
+
+
+@pytest.mark.parametrize("theirs", ["", RULES.replace("[hoist]", "all")])
+def test_hosts_that_disagree_about_the_rules_do_not_talk(fleet, theirs):
+    async def story(team):
+        other = team.mission(IDLE, TWO_HOSTS, capabilities=CAPABILITIES, access=theirs)
+        mission = team.mission(IDLE, TWO_HOSTS, capabilities=CAPABILITIES, access=RULES)
+        (bravo,) = await team.up(other, "bravo")
+        (alpha,) = await team.up(mission, "alpha")
+        words = "start both from the same .access.yaml file, or from one bundle"
+        await team.until(lambda: words in alpha.log and words in bravo.log)
+        said = other.access.digest.hex()[:12] or "(none)"
+        assert f"bravo has access rules {said};" in alpha.log.replace(" and alpha", ";")
+
+    fleet(story)
