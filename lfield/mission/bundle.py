@@ -34,6 +34,7 @@ from lfield.bytecode.program import Debug, Program
 from lfield.capability.model import Registry
 from lfield.driver.known import KnownDriver, KnownDrivers
 from lfield.errors import BindingError, BundleError, InputFileError, ProgramFileError
+from lfield.mission.access.release import Release
 from lfield.mission.access.rules import Access, decode_access, encode_access
 from lfield.mission.bindings import Bindings, with_files
 from lfield.mission.bundle_check import check_bindings, check_rows
@@ -163,7 +164,8 @@ def _split(rows: tuple[Part, ...], data: memoryview) -> dict[str, memoryview]:
 
 def decode(data: bytes) -> Mission:
     """The mission in the bytes of a bundle, checked as a whole. Raises BundleError."""
-    parts = contents(data).parts
+    whole = contents(data)
+    parts, release = whole.parts, Release(whole.digest, whole.signature)
     texts: Texts = _decoded("texts", _texts, parts)
     try:
         program = encoding.decode_core(parts["program"], texts.debug)
@@ -175,7 +177,7 @@ def decode(data: bytes) -> Mission:
     check_bindings(bound.bindings, needed_devices(program, team), drivers, team.hosts)
     registry, access = _registry(parts["registry"], bound.bindings), _access(parts["access"])
     return _decided(
-        Mission(texts.name, program, team, bound.bindings, drivers, registry, texts.warnings, access)
+        Mission(texts.name, program, team, bound.bindings, drivers, registry, texts.warnings, access, release)
     )
 
 

@@ -14,6 +14,7 @@ from lfield.bytecode.program import Program
 from lfield.capability.model import Registry, Value
 from lfield.driver.binding import SIMULATED, DeviceBinding
 from lfield.driver.known import Drivers, KnownDrivers
+from lfield.mission.access.release import FROM_FILES, Release
 from lfield.mission.access.rules import UNWRITTEN, Access, Calls
 from lfield.mission.bindings import Bindings, Frames, Needed, Recovery, chosen_fakes, on_fakes
 from lfield.mission.team import Team
@@ -30,7 +31,8 @@ class Mission:
     """Program, team, bindings, the `drivers` of its devices, and who may do what: `access`.
 
     The `registry` is None when the program names no capability; its live attributes are in their own units.
-    `warnings` are what the compiler had to say, drawn, and which fakes were chosen.
+    `warnings` are what the compiler had to say, drawn, and which fakes were chosen. `release` is the bundle
+    that it was read from.
     """
 
     name: str
@@ -41,6 +43,7 @@ class Mission:
     registry: Registry | None = None
     warnings: tuple[str, ...] = ()
     access: Access = UNWRITTEN
+    release: Release = FROM_FILES
 
     @property
     def stated(self) -> Registry | None:
