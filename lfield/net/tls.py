@@ -83,13 +83,11 @@ class Channel:
         Then there may be something in `take`, also when this raises: GreetingError where a certificate is
         not good, here or there, WireError for what is no TLS, or was bent on the way.
         """
-        if not self.proven:
-            self._bound(data)
-        self._incoming.write(data)
         try:
-            if not self.proven and not self._shake_hands():
-                return
-            while self._incoming.pending or self._tls.pending():
+            if not self.proven:
+                data = self._first(memoryview(data))
+            self._incoming.write(data)
+            while self.proven and (self._incoming.pending or self._tls.pending()):
                 plain = self._tls.read(_RECORD)
                 if not plain:
                     return
@@ -112,13 +110,19 @@ class Channel:
         """What must be sent beside that: the handshake, and why it ends."""
         return self._outgoing.read()
 
-    def _bound(self, data: Buffer) -> None:
-        """A stranger makes this process hold no more than a handshake, and of no other program anything."""
+    def _first(self, data: memoryview) -> memoryview:
+        """Go on with the handshake; what is left of the bytes when it is over.
+
+        A stranger makes this process hold no more than that, and of another program nothing at all.
+        """
         if self._came == 0 and len(data) and data[0] != _HANDSHAKE:
             raise WireError("its first bytes are no TLS: it is no lfield host, or one of an earlier version")
-        self._came += len(data)
-        if self._came > MAX_HANDSHAKE:
+        part, rest = data[: MAX_HANDSHAKE - self._came], data[MAX_HANDSHAKE - self._came :]
+        self._came += len(part)
+        self._incoming.write(part)
+        if not self._shake_hands() and len(rest):
             raise WireError(f"over {MAX_HANDSHAKE} bytes came before it had proven who it is")
+        return rest
 
     def _shake_hands(self) -> bool:
         try:
