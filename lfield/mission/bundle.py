@@ -1,9 +1,11 @@
 """A bundle: a mission in one file (`mission.lfm`), built on the desk, run by robots.
 
-    "LFMB"  u16 version  u16 0  u32 length of the table  32 bytes SHA-256 of the table  table  parts
+    "LFMB"  u16 version  u16 size of the signature  u32 length of the table  32 bytes SHA-256 of the table
+    table  parts  signature
 
 The table is msgpack: for each part its name, its size and the SHA-256 of its bytes, in the order in which
-they follow one another. So the digest in the header is one of all, and what a signature will sign.
+they follow one another. So the digest in the header is one of all, and what the signature signs
+(`authority/signature.py`); there need not be one.
 
     program   the core of the program; its digest is the program's identity
     team      types, ids, hosts and arguments of all agents; its digest is that of the deployment
@@ -40,7 +42,7 @@ from lfield.text.files import read_head, reason
 #: What the name of a bundle ends in.
 SUFFIX = ".lfm"
 MAGIC = b"LFMB"
-VERSION = 1
+VERSION = 2
 #: A larger file is refused unread.
 MAX_SIZE = 64 << 20
 
@@ -73,11 +75,15 @@ class Texts(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields=
 
 
 class Contents(NamedTuple):
-    """The parts of a bundle, checked against their digests, and the digest of all."""
+    """The parts of a bundle, checked against their digests, and the digest of all.
+
+    `signature` is as it came, and nobody has looked at it; empty where nobody has signed.
+    """
 
     digest: bytes
     table: tuple[Part, ...]
     parts: Mapping[str, memoryview]
+    signature: bytes
 
 
 _encoder = msgspec.msgpack.Encoder()
@@ -112,21 +118,29 @@ def contents(data: bytes) -> Contents:
         raise BundleError("it does not begin as a bundle does")
     if len(data) > MAX_SIZE:
         raise BundleError(f"it is larger than {MAX_SIZE >> 20} MiB")
-    _, version, reserved, length, digest = _HEADER.unpack_from(data)
+    _, version, size, length, digest = _HEADER.unpack_from(data)
     if version != VERSION:
         raise BundleError(
             f"it has format {version}, this lfield reads format {VERSION}",
             "install the version of lfield that built it, or build it again with this one",
         )
     rest = memoryview(data)[_HEADER.size :]
-    table, parts = rest[:length], rest[length:]
-    if reserved or hashlib.sha256(table).digest() != digest:
+    table, parts = rest[:length], rest[length : max(length, len(rest) - size)]
+    if hashlib.sha256(table).digest() != digest:
         raise BundleError("it is damaged or cut (the table of its parts is not the one it had)")
     try:
         rows = tuple(_table.decode(table))
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         raise BundleError(f"the table of its parts is malformed ({error})") from None
-    return Contents(digest, rows, _split(rows, parts))
+    return Contents(digest, rows, _split(rows, parts), bytes(rest[length + len(parts) :]))
+
+
+def with_signature(data: bytes, signature: bytes) -> bytes:
+    """The bundle with another signature in place of what it has; its digest stays. Raises BundleError."""
+    found = contents(data)
+    magic, version, _, length, digest = _HEADER.unpack_from(data)
+    header = _HEADER.pack(magic, version, len(signature), length, digest)
+    return b"".join((header, data[_HEADER.size : len(data) - len(found.signature)], signature))
 
 
 def _split(rows: tuple[Part, ...], data: memoryview) -> dict[str, memoryview]:
