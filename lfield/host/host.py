@@ -39,6 +39,7 @@ from lfield.mobility.core import Mobility
 from lfield.mobility.effects import Send, SendTransfer
 from lfield.mobility.fates import Fate
 from lfield.mobility.neighbours import Neighbourhood
+from lfield.net.admission import Admission
 from lfield.net.peers import Peers
 from lfield.net.transport import Link, Transport
 from lfield.text.private import write_private
@@ -64,7 +65,8 @@ class Options:
 
     `journal` keeps what this host has of coordinators; without one that is gone with its process, and all
     hosts are heard before any is started. `first_start`: somebody says that there was no start before.
-    `engine` is one of `lfield.vm.wasm.choice.CHOICES`. Times are in seconds.
+    `engine` is one of `lfield.vm.wasm.choice.CHOICES`. `admission` says who may have links with it, and
+    `keep_list` keeps a new revocation list. Times are in seconds.
     """
 
     listen: str
@@ -76,6 +78,8 @@ class Options:
     journal: Journal | None = None
     first_start: bool = False
     engine: str = "reference"
+    admission: Admission = field(default_factory=Admission)
+    keep_list: Callable[[bytes], None] = lambda data: None
 
 
 class Host:
@@ -92,7 +96,17 @@ class Host:
         here = self.team.number(name)
         team, clock, dice = self.team, self.clock, options.dice
         neighbours = Neighbourhood(team.hosts, here, everybody=mission.registry is not None)
-        self.peers = Peers(self, transport, clock, dice, team.hosts, team.addresses, here, neighbours.near)
+        self.peers = Peers(
+            self,
+            transport,
+            clock,
+            dice,
+            team.hosts,
+            team.addresses,
+            here,
+            neighbours.near,
+            options.admission,
+        )
         self.guards = Guards(
             mission.drivers, self.clock, self.note, silence=mission.bindings.silence, turned=self.turn
         )
@@ -360,6 +374,11 @@ class Host:
             self._visitors.received(message, link)
         else:
             self._enter(partial(self.core.received, host, message))
+
+    def revoked(self, data: bytes) -> None:
+        """There is a new revocation list: it is kept for the next life."""
+        self.note(f"took revocation list {self.options.admission.number}")
+        self.options.keep_list(data)
 
     def reaped(self, host: str) -> None:
         """Whoever started the hosts says that one has ended for good."""

@@ -15,16 +15,18 @@ from collections.abc import Callable, Collection, Sequence
 from contextlib import suppress
 from typing import Protocol
 
+from lfield.authority.identity import Identity
 from lfield.clock import Clock
-from lfield.errors import AddressError
+from lfield.errors import AddressError, GreetingError, KeysError, WireError
 from lfield.loop import spare_descriptors, spawn
+from lfield.net.admission import Admission
 from lfield.net.greeting import Greeting
 from lfield.net.guests import Guests
 from lfield.net.session import Session
 from lfield.net.transport import Link, Listener, Transport
 from lfield.wire.coordinators import Transfer
 from lfield.wire.framing import Buffer
-from lfield.wire.messages import Control, Hello, Ping, Pong
+from lfield.wire.messages import Control, Hello, Ping, Pong, Revocations
 
 #: Seconds between two attempts to reach a host: the first wait, and the longest.
 FIRST_RETRY, LAST_RETRY = 0.05, 1.0
@@ -67,6 +69,9 @@ class Owner(Protocol):
     def too_large(self, host: str, header: Transfer, size: int) -> None:
         """A coordinator came whose block was not even read."""
 
+    def revoked(self, data: bytes) -> None:
+        """There is a new revocation list."""
+
     def note(self, text: str) -> None:
         """A line for the log."""
 
@@ -87,8 +92,10 @@ class Peers:
         addresses: Sequence[str],
         here: int,
         near: Collection[str],
+        admission: Admission | None = None,
     ) -> None:
         self._owner, self._transport, self._clock = owner, transport, clock
+        self._admission = admission or Admission()
         #: The clock's monotonic time.
         self.now = clock.monotonic
         self._hosts, self._addresses, self._here, self._near = hosts, addresses, here, near
@@ -126,22 +133,22 @@ class Peers:
         return session.heard if session else self._last_heard.get(host)
 
     async def open(self, address: str) -> str:
-        """Listen, begin to call the others; returns the address with its real port. Raises AddressError."""
-        listener = await self._transport.listen(address, self._called)
-        self._listeners.append(listener)
+        """Listen, begin to call the others; returns the address with its real port. Raises AddressError.
+
+        Where the address is '', nobody but commands at the door will call.
+        """
+        if address:
+            self._listeners.append(await self._transport.listen(address, self._called))
+            address = self._listeners[0].address
         self._want(self._clock.monotonic())
         if not self._unheard:
             self._all_heard.set()
         self._tasks.append(spawn(self._keep_alive()))
-        return listener.address
+        return address
 
     async def open_door(self, address: str) -> None:
-        """Listen there too, for observers alone. Raises AddressError."""
-
-        def called(link: Link) -> Session:
-            return self._called(link, observers_only=True)
-
-        self._listeners.append(await self._transport.listen(address, called))
+        """Listen there too, at a Unix socket, for commands of this computer. Raises AddressError."""
+        self._listeners.append(await self._transport.listen(address, self._called))
 
     async def first_round(self, bound: float) -> None:
         """Return when every host has greeted or did not answer when called, or after `bound` seconds.
@@ -184,10 +191,10 @@ class Peers:
 
     # --- both directions ------------------------------------------------------------------------------
 
-    def _called(self, link: Link, *, observers_only: bool = False) -> Session:
-        session = Session(self, dialled=None, observers_only=observers_only)
+    def _called(self, link: Link) -> Session:
+        session = Session(self, dialled=None)
         # The transport hands out messages only when this has returned.
-        session.greet(link)
+        session.wait(link)
         last = not spare_descriptors(SPARE)
         pushed = self._ungreeted.enter(session, session.caller, last=last)
         if pushed is not None:
@@ -246,10 +253,14 @@ class Peers:
                 # It has called meanwhile.
                 link.close()
             else:
-                session.greet(link)
+                session.begin(link)
             await session.over.wait()
             return session.reason
         except AddressError as error:
+            return str(error)
+        except (GreetingError, WireError) as error:
+            # Somebody was there, which is news.
+            session.connected = True
             return str(error)
         finally:
             self._dialling.pop(name, None)
@@ -270,6 +281,7 @@ class Peers:
             self._want(now)
             for host, session in list(self._links.items()):
                 self._look_at(host, session, now, token)
+            self.judge()
 
     def _want(self, now: float) -> None:
         """Call whom this host wants now and has no link with; no others any more."""
@@ -303,14 +315,15 @@ class Peers:
 
     # --- what sessions report -------------------------------------------------------------------------
 
-    def new_greeting(self, dialled: str | None, *, observers_only: bool) -> Greeting:
+    def new_greeting(self, dialled: str | None, who: Identity) -> Greeting:
         """The greeting for a new link."""
         return Greeting(
-            self._owner.hello(),
+            self._admission.signed(self._owner.hello()),
+            who,
+            verdict=self._admission.verdict(who, expected=dialled or ""),
             hosts=self._hosts,
             linked=self._lively(),
             dialled=dialled,
-            observers_only=observers_only,
         )
 
     def _lively(self) -> dict[str, int]:
@@ -334,9 +347,33 @@ class Peers:
             own.link.close()
         return False
 
+    def judge(self) -> None:
+        """End the links of whoever is not to have one any more."""
+        for session in [*self._links.values(), *self._observers]:
+            verdict = self._admission.verdict(session.link.who, linked=True)
+            if verdict.why:
+                self.complain(verdict.why)
+            if verdict.extent == "nothing":
+                session.dismiss(verdict.why)
+
+    def _take_list(self, data: bytes) -> None:
+        """A revocation list has come: pass on one that is new to all, and to its end whom it is about."""
+        try:
+            newer = self._admission.newer(data)
+        except KeysError as error:
+            raise WireError(str(error)) from None
+        if newer:
+            self._owner.revoked(data)
+            for host in self._links:
+                self.send(host, Revocations(data))
+            self.judge()
+
     def known(self, session: Session, hello: Hello) -> None:
         """A link has greeted, and its other side has taken ours."""
         self._ungreeted.leave(session)
+        self._admission.greeted(session.link.who, hello)
+        if hello.role == "host" and hello.revoked < self._admission.number:
+            session.link.send(Revocations(self._admission.list))
         if hello.role == "host":
             self._linked(session, hello)
             return
@@ -373,6 +410,8 @@ class Peers:
         """A message came in on a greeted link."""
         if isinstance(message, Ping):
             session.link.send(Pong(message.token))
+        elif isinstance(message, Revocations):
+            self._take_list(message.list)
         elif not isinstance(message, Pong):
             hello = session.hello
             assert hello is not None

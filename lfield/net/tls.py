@@ -17,13 +17,13 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 from lfield.authority.identity import STRANGER, Identity, identity_of
-from lfield.errors import GreetingError, LfieldError, WireError
+from lfield.authority.judge import NO_CHECK_TIME
+from lfield.errors import GreetingError, KeysError, LfieldError, WireError
 
 if TYPE_CHECKING:
+    from lfield.authority.keys import Keys
     from lfield.wire.framing import Buffer
 
-#: OpenSSL is not to look at times; Python has no name for it.
-X509_V_FLAG_NO_CHECK_TIME = ssl.VerifyFlags(0x200000)
 #: What may come until the other end is proven, in bytes: certificates of ours have some hundred.
 MAX_HANDSHAKE = 1 << 14
 #: The most plain text in one record.
@@ -46,18 +46,35 @@ _NONE_WANTED = ("ALERT_CERTIFICATE_REQUIRED",)
 
 
 class Tls:
-    """What this process proves itself with, and which authority it believes: three PEM texts.
+    """What this process proves itself with, and which authority it believes.
 
-    They are kept in memory only. Raises GreetingError for keys that OpenSSL cannot use.
+    Raises KeysError for keys that OpenSSL cannot use.
     """
 
-    def __init__(self, certificate: bytes, key: bytes, authority: bytes) -> None:
+    def __init__(self, keys: Keys) -> None:
+        self._calling, self._called = (
+            ssl.SSLContext(side) for side in (ssl.PROTOCOL_TLS_CLIENT, ssl.PROTOCOL_TLS_SERVER)
+        )
         try:
-            self._calling = _ready(ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT), certificate, key, authority)
-            self._called = _ready(ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER), certificate, key, authority)
-        except (ssl.SSLError, UnicodeDecodeError) as error:
-            raise GreetingError(f"the keys are damaged or do not belong together: {error}") from None
+            for context in (self._calling, self._called):
+                _prepare(context, keys)
+        except (ssl.SSLError, UnicodeDecodeError):
+            raise KeysError(
+                "the keys are damaged, or do not belong together: copy them again from where 'lfield keys' "
+                "has put them"
+            ) from None
         self._called.num_tickets = 0
+
+    def own(self) -> Identity:
+        """Who a host with these keys is to others, and to itself: it tries. Raises KeysError."""
+        near, far = self.channel(calls=True), self.channel(calls=False)
+        try:
+            while not far.proven and (said := near.take()):
+                list(far.feed(said))
+                list(near.feed(far.take()))
+        except LfieldError as error:
+            raise KeysError(f"these keys are no good for a host: {error}") from None
+        return far.who
 
     def channel(self, *, calls: bool) -> Channel:
         """One end of a new link: of whoever calls, or of whoever is called."""
@@ -133,15 +150,19 @@ class Channel:
         return True
 
 
-def _ready(context: ssl.SSLContext, certificate: bytes, key: bytes, authority: bytes) -> ssl.SSLContext:
+def _prepare(context: ssl.SSLContext, keys: Keys) -> None:
     context.minimum_version = context.maximum_version = ssl.TLSVersion.TLSv1_3
     context.check_hostname = False
     context.verify_mode = ssl.CERT_REQUIRED
-    context.verify_flags |= X509_V_FLAG_NO_CHECK_TIME
-    context.load_verify_locations(cadata=authority.decode("ascii"))
-    with _as_file(certificate + b"\n" + key) as path:
-        context.load_cert_chain(path)
-    return context
+    context.verify_flags |= ssl.VerifyFlags(NO_CHECK_TIME)
+    context.load_verify_locations(cadata=keys.authority.decode("ascii"))
+    with _as_file(keys.certificate + b"\n" + keys.key) as path:
+        context.load_cert_chain(path, password=_no_password)
+
+
+def _no_password() -> bytes:
+    """OpenSSL would ask at the terminal."""
+    return b""
 
 
 @contextmanager

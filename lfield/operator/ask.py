@@ -15,7 +15,7 @@ from lfield.net.transport import Link, Transport
 from lfield.operator.addressed import Party, Place
 from lfield.wire.coordinators import Transfer
 from lfield.wire.fields import clip
-from lfield.wire.messages import Hello, Message
+from lfield.wire.messages import Hello, Message, Refuse
 from lfield.wire.observing import (
     EmergencyStop,
     EmergencyStopped,
@@ -127,7 +127,7 @@ async def ask(transport: Transport, address: str, request: Request[T]) -> T:
     asking = _Asking(request)
     link = await transport.connect(address, asking)
     try:
-        link.send(asking.greeting.own)
+        asking.greet(link)
         async with asyncio.timeout(request.bound):
             return await asking.answer
     except TimeoutError:
@@ -142,13 +142,23 @@ class _Asking(Generic[T]):
 
     def __init__(self, request: Request[T]) -> None:
         self._request = request
-        self.greeting = Greeting(Hello("observer", "observer", 0))
+        self._greeting: Greeting | None = None
         self.answer: asyncio.Future[T] = asyncio.get_running_loop().create_future()
 
+    def greet(self, link: Link) -> Greeting:
+        """Greet whoever is there, once; what the host says may come before whoever connects gets its turn."""
+        if self._greeting is None:
+            self._greeting = Greeting(Hello("observer", "observer", 0), link.who)
+            link.send(self._greeting.begin())
+        return self._greeting
+
     def on_message(self, link: Link, message: Message) -> None:
-        if self.greeting.peer is None:
-            link.greeted(self.greeting.receive(message).role)
+        greeting = self.greet(link)
+        if greeting.peer is None:
+            link.greeted(greeting.receive(message).role)
             link.send(self._request.message)
+        elif isinstance(message, Refuse):
+            raise GreetingError(f"{greeting.peer.host} refused: {message.reason}")
         elif isinstance(message, self._request.answer) and not self.answer.done():
             self.answer.set_result(message)
 

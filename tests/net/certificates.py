@@ -11,10 +11,12 @@ from cryptography.hazmat.primitives import serialization
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 from cryptography.x509.oid import NameOID
 
-from lfield.authority.identity import uri_of
-from lfield.net.tls import Tls
+from lfield.authority.identity import Right
+from lfield.authority.judge import Revoked
+from lfield.authority.keys import Keys
+from lfield.authority.making import certificate_in, new_authority, private_in
 
-BEGIN, END = datetime.datetime(2026, 1, 1), datetime.datetime(2099, 1, 1)
+BEGIN, END = (datetime.datetime(year, 1, 1, tzinfo=datetime.UTC) for year in (2026, 2099))
 
 
 @dataclass(frozen=True)
@@ -40,9 +42,6 @@ def made(
     uris: Iterable[str] = (),
     *,
     signer: Shown | None = None,
-    ca: bool = False,
-    begin: datetime.datetime = BEGIN,
-    end: datetime.datetime = END,
 ) -> Shown:
     """A certificate, signed by itself where nobody else signs it."""
     key = Ed25519PrivateKey.generate()
@@ -53,9 +52,9 @@ def made(
         .issuer_name(signer.certificate.subject if signer else subject)
         .public_key(key.public_key())
         .serial_number(x509.random_serial_number())
-        .not_valid_before(begin)
-        .not_valid_after(end)
-        .add_extension(x509.BasicConstraints(ca=ca, path_length=0 if ca else None), critical=True)
+        .not_valid_before(BEGIN)
+        .not_valid_after(END)
+        .add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
     )
     alternatives = [x509.UniformResourceIdentifier(uri) for uri in uris]
     if alternatives:
@@ -67,14 +66,26 @@ class Team:
     """An authority and what it signs."""
 
     def __init__(self) -> None:
-        self.authority = made("a" * 64, ca=True)
+        self.authority = new_authority(BEGIN.timestamp(), END.timestamp())
 
-    def host(self, name: str, **options) -> Shown:
-        return made(name, [uri_of("host", name)], signer=self.authority, **options)
+    def host(self, name: str, *, begin: float = BEGIN.timestamp(), end: float = END.timestamp()) -> Keys:
+        issued = self.authority.issue("host", name, at=begin, ends=end)
+        return Keys("host", self.authority.certificate, issued.certificate, issued.key)
 
-    def person(self, name: str, *may: str, **options) -> Shown:
-        return made(name, [uri_of("person", name, may)], signer=self.authority, **options)
+    def person(self, name: str, *may: Right, end: float = END.timestamp()) -> Keys:
+        issued = self.authority.issue("person", name, may=may, at=BEGIN.timestamp(), ends=end)
+        return Keys("person", self.authority.certificate, issued.certificate, issued.key)
 
-    def tls(self, shown: Shown) -> Tls:
-        """What whoever has that certificate proves itself with, who believes this authority."""
-        return Tls(shown.pem, shown.key_pem, self.authority.pem)
+    def odd(self, *uris: str) -> Keys:
+        """Keys that the authority would not make, with these names."""
+        signer = Shown(certificate_in(self.authority.certificate), private_in(self.authority.key))
+        return self.with_(made("odd", uris, signer=signer))
+
+    def with_(self, shown: Shown) -> Keys:
+        """Any keys, of whoever believes this authority."""
+        return Keys("host", self.authority.certificate, shown.pem, shown.key_pem)
+
+    def revoked(self, number: int, *keys: Keys) -> bytes:
+        """The list of those keys."""
+        serials = frozenset(f"{certificate_in(one.certificate).serial_number:x}" for one in keys)
+        return self.authority.revocation_list(Revoked(number, serials, BEGIN.timestamp()))

@@ -1,13 +1,15 @@
 """TLS of one link without any socket: who is proven, who is not, and what both are told."""
 
-import datetime
 import ssl
+from dataclasses import replace
 
 import pytest
-from certificates import Team, made
+from certificates import Shown, Team, made
+from cryptography.hazmat.primitives import serialization
 
-from lfield.authority.identity import STRANGER, uri_of
-from lfield.errors import GreetingError, LfieldError, WireError
+from lfield.authority.identity import ALL, STRANGER, Right, uri_of
+from lfield.authority.making import certificate_in, private_in
+from lfield.errors import GreetingError, KeysError, LfieldError, WireError
 from lfield.net.tls import MAX_HANDSHAKE, Channel, Tls
 
 TEAM, OTHER = Team(), Team()
@@ -46,15 +48,15 @@ class Ends:
 
 
 def test_both_know_who_the_other_is():
-    ends = Ends(TEAM.tls(ALPHA), TEAM.tls(BRAVO))
+    ends = Ends(Tls(ALPHA), Tls(BRAVO))
     assert (ends.near.proven, ends.far.proven) == (True, True)
     assert (str(ends.near.who), str(ends.far.who)) == ("host bravo", "host alpha")
-    assert ends.far.who.authority == "a" * 64
+    assert ends.far.who.authority == TEAM.authority.fingerprint
     assert ends.told == {}
 
 
 def test_a_person_is_known_with_rights():
-    ends = Ends(TEAM.tls(TEAM.person("anna", "observe", "stop")), TEAM.tls(BRAVO))
+    ends = Ends(Tls(TEAM.person("anna", Right.OBSERVE, Right.STOP)), Tls(BRAVO))
     assert (ends.far.who.kind, ends.far.who.name, sorted(ends.far.who.may)) == (
         "person",
         "anna",
@@ -64,7 +66,7 @@ def test_a_person_is_known_with_rights():
 
 @pytest.mark.parametrize("size", [1, 100, 1 << 14, (1 << 14) + 1, 300_000])
 def test_what_is_said_comes_whole_and_in_one_piece(size):
-    ends = Ends(TEAM.tls(ALPHA), TEAM.tls(BRAVO))
+    ends = Ends(Tls(ALPHA), Tls(BRAVO))
     text = bytes(n % 251 for n in range(size))
     for source, target in ((ends.near, ends.far), (ends.far, ends.near)):
         sealed = source.seal(text)
@@ -75,39 +77,37 @@ def test_what_is_said_comes_whole_and_in_one_piece(size):
 
 
 def test_bytes_may_come_one_at_a_time():
-    ends = Ends(TEAM.tls(ALPHA), TEAM.tls(BRAVO))
+    ends = Ends(Tls(ALPHA), Tls(BRAVO))
     for byte in ends.near.seal(b"hello") + ends.near.seal(b" again"):
         ends.give(ends.far, bytes([byte]))
     assert ends.heard[ends.far] == b"hello again"
 
 
 def test_two_messages_may_come_in_one():
-    ends = Ends(TEAM.tls(ALPHA), TEAM.tls(BRAVO))
+    ends = Ends(Tls(ALPHA), Tls(BRAVO))
     ends.give(ends.far, ends.near.seal(b"one") + ends.near.seal(b" two"))
     assert ends.heard[ends.far] == b"one two"
 
 
 def test_times_are_for_others_to_judge():
-    past = datetime.datetime(2020, 1, 1)
-    late = TEAM.host("late", begin=past, end=past + datetime.timedelta(days=1))
-    early = TEAM.host("early", begin=datetime.datetime(2090, 1, 1))
-    ends = Ends(TEAM.tls(late), TEAM.tls(early))
+    late = TEAM.host("late", begin=1577836800.0, end=1577923200.0)
+    ends = Ends(Tls(late), Tls(TEAM.host("early", begin=3e9)))
     assert str(ends.far.who) == "host late"
-    assert ends.far.who.ends == 1577923200.0
-    assert ends.near.who.begins > 3e9
+    assert (ends.far.who.ends, ends.near.who.begins) == (1577923200.0, 3e9)
 
 
 ITSELF = made("alpha", [uri_of("host", "alpha")])
-BY_A_HOST = made("alpha", [uri_of("host", "alpha")], signer=BRAVO)
+SIGNER = Shown(certificate_in(BRAVO.certificate), private_in(BRAVO.key))
+BY_A_HOST = made("alpha", [uri_of("host", "alpha")], signer=SIGNER)
 
 
 @pytest.mark.parametrize(
-    "shown",
-    [OTHER.host("alpha"), ITSELF, BY_A_HOST],
+    "keys",
+    [replace(OTHER.host("alpha"), authority=ALPHA.authority), TEAM.with_(ITSELF), TEAM.with_(BY_A_HOST)],
     ids=["of another authority", "signed by itself", "signed by a host"],
 )
-def test_whoever_is_called_takes_no_certificate_of_others(shown):
-    ends = Ends(Tls(shown.pem, shown.key_pem, TEAM.authority.pem), TEAM.tls(BRAVO))
+def test_whoever_is_called_takes_no_certificate_of_others(keys):
+    ends = Ends(Tls(keys), Tls(BRAVO))
     assert isinstance(ends.told[ends.far], GreetingError)
     assert "certificate is not" in str(ends.told[ends.far])
     assert not ends.far.proven
@@ -116,7 +116,7 @@ def test_whoever_is_called_takes_no_certificate_of_others(shown):
 
 
 def test_whoever_calls_says_nothing_to_a_host_of_another_authority():
-    ends = Ends(TEAM.tls(ALPHA), OTHER.tls(OTHER.host("bravo")))
+    ends = Ends(Tls(ALPHA), Tls(OTHER.host("bravo")))
     assert "not signed by the authority of this team" in str(ends.told[ends.near])
     assert not ends.near.proven
     assert not ends.far.proven
@@ -125,17 +125,16 @@ def test_whoever_calls_says_nothing_to_a_host_of_another_authority():
 
 def test_a_certificate_that_names_nobody_proves_nothing():
     for uris in ([], [uri_of("host", "a"), uri_of("host", "b")], ["lfield://host/", "https://host/alpha"]):
-        shown = made("alpha", uris, signer=TEAM.authority)
-        assert Ends(TEAM.tls(shown), TEAM.tls(BRAVO)).far.who == STRANGER
+        assert Ends(Tls(TEAM.odd(*uris)), Tls(BRAVO)).far.who == STRANGER
 
 
 def test_whoever_shows_no_certificate_is_told_so():
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
     context.check_hostname = False
     context.verify_mode = ssl.CERT_NONE
-    ends = Ends(TEAM.tls(ALPHA), TEAM.tls(BRAVO))
+    ends = Ends(Tls(ALPHA), Tls(BRAVO))
     ends.near = Channel(context, calls=True)
-    ends.far = TEAM.tls(BRAVO).channel(calls=False)
+    ends.far = Tls(BRAVO).channel(calls=False)
     ends.heard, ends.told = {ends.near: b"", ends.far: b""}, {}
     ends.settle()
     assert "it shows no certificate" in str(ends.told[ends.far])
@@ -148,22 +147,22 @@ def test_an_older_tls_is_refused():
     context.check_hostname = False
     context.verify_mode = ssl.CERT_NONE
     context.maximum_version = ssl.TLSVersion.TLSv1_2
-    ends = Ends(TEAM.tls(ALPHA), TEAM.tls(BRAVO))
-    ends.near, ends.far = Channel(context, calls=True), TEAM.tls(BRAVO).channel(calls=False)
+    ends = Ends(Tls(ALPHA), Tls(BRAVO))
+    ends.near, ends.far = Channel(context, calls=True), Tls(BRAVO).channel(calls=False)
     ends.settle()
     assert "this is no TLS 1.3" in str(ends.told[ends.far])
 
 
 @pytest.mark.parametrize("data", [b"GET / HTTP/1.1\r\n\r\n", bytes(64), b"\xff", b"\x00\x00\x00\x05\x01"])
 def test_what_is_no_tls_is_known_by_its_first_byte(data):
-    channel = TEAM.tls(ALPHA).channel(calls=False)
+    channel = Tls(ALPHA).channel(calls=False)
     with pytest.raises(WireError, match="no lfield host, or one of an earlier version"):
         list(channel.feed(data))
     assert channel.take() == b""
 
 
 def test_a_stranger_can_make_nobody_hold_more_than_a_handshake():
-    channel = TEAM.tls(ALPHA).channel(calls=False)
+    channel = Tls(ALPHA).channel(calls=False)
     # A client's first message that promises 100,000 bytes, in records of 256.
     data = b"\x01\x01\x86\xa0" + bytes(100_000)
     records = [b"\x16\x03\x01\x01\x00" + data[at : at + 256] for at in range(0, len(data), 256)]
@@ -174,7 +173,7 @@ def test_a_stranger_can_make_nobody_hold_more_than_a_handshake():
 
 
 def test_a_bit_that_flips_on_the_way_is_seen():
-    ends = Ends(TEAM.tls(ALPHA), TEAM.tls(BRAVO))
+    ends = Ends(Tls(ALPHA), Tls(BRAVO))
     sealed = bytearray(ends.near.seal(b"take off"))
     sealed[-1] ^= 1
     ends.give(ends.far, bytes(sealed))
@@ -184,7 +183,7 @@ def test_a_bit_that_flips_on_the_way_is_seen():
 
 
 def test_what_was_recorded_of_one_link_is_nothing_on_another_nor_twice_on_the_same():
-    first, second = (Ends(TEAM.tls(ALPHA), TEAM.tls(BRAVO)) for _ in range(2))
+    first, second = (Ends(Tls(ALPHA), Tls(BRAVO)) for _ in range(2))
     sealed = first.near.seal(b"take off")
     second.give(second.far, sealed)
     assert isinstance(second.told[second.far], WireError)
@@ -194,8 +193,29 @@ def test_what_was_recorded_of_one_link_is_nothing_on_another_nor_twice_on_the_sa
     assert isinstance(first.told[first.far], WireError)
 
 
+def test_a_person_cannot_pass_for_a_host():
+    ends = Ends(Tls(ALPHA), Tls(TEAM.person("anna", *ALL)))
+    assert "its certificate is not good" in str(ends.told[ends.near])
+    assert not ends.near.proven
+
+
+def test_a_host_knows_itself_as_others_do():
+    assert Tls(ALPHA).own() == Ends(Tls(ALPHA), Tls(BRAVO)).far.who
+    for keys in (TEAM.person("anna", *ALL), replace(ALPHA, authority=OTHER.authority.certificate)):
+        with pytest.raises(KeysError, match="these keys are no good for a host"):
+            Tls(keys).own()
+
+
 def test_keys_that_do_not_belong_together_are_told():
-    with pytest.raises(GreetingError, match="the keys are damaged or do not belong together"):
-        Tls(ALPHA.pem, BRAVO.key_pem, TEAM.authority.pem)
-    with pytest.raises(GreetingError, match="the keys are damaged"):
-        Tls(b"nothing", ALPHA.key_pem, TEAM.authority.pem)
+    encrypted = private_in(ALPHA.key).private_bytes(
+        serialization.Encoding.PEM,
+        serialization.PrivateFormat.PKCS8,
+        serialization.BestAvailableEncryption(b"secret"),
+    )
+    for key in (BRAVO.key, b"nothing", encrypted):
+        with pytest.raises(KeysError, match="the keys are damaged, or do not belong together"):
+            Tls(replace(ALPHA, key=key))
+    with pytest.raises(KeysError, match="the keys are damaged"):
+        Tls(replace(ALPHA, certificate=b"nothing"))
+    with pytest.raises(KeysError, match="the keys are damaged"):
+        Tls(replace(ALPHA, authority=b"\xff"))

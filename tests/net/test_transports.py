@@ -17,6 +17,7 @@ from lfield.clock import ManualClock
 from lfield.errors import AddressError, GreetingError, WireError
 from lfield.net.door import local
 from lfield.net.tcp import TcpTransport, refusal
+from lfield.net.tls import Tls
 from lfield.net.transport import join_address, split_address
 from lfield.simulate.network import MemoryNetwork
 from lfield.testing.transport_kit import MAX_BLOCK, Pair, Recorder, TransportKit, transfer
@@ -124,7 +125,7 @@ class TlsBench(TcpBench):
 
     def __init__(self, loop: asyncio.AbstractEventLoop, **options) -> None:
         team = Team()
-        super().__init__(loop, tls=team.tls(team.host("alpha")), **options)
+        super().__init__(loop, tls=Tls(team.host("alpha")), **options)
 
 
 @pytest.fixture(params=["asyncio", "uvloop"])
