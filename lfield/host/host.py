@@ -20,6 +20,7 @@ from mmap import mmap
 from pathlib import Path
 from typing import Any
 
+from lfield.authority.admission import Admission
 from lfield.clock import Clock, SystemClock
 from lfield.devices.guards import Guards
 from lfield.devices.measuring import insist
@@ -39,7 +40,6 @@ from lfield.mobility.core import Mobility
 from lfield.mobility.effects import Send, SendTransfer
 from lfield.mobility.fates import Fate
 from lfield.mobility.neighbours import Neighbourhood
-from lfield.net.admission import Admission
 from lfield.net.peers import Peers
 from lfield.net.transport import Link, Transport
 from lfield.text.private import write_private
@@ -97,15 +97,7 @@ class Host:
         team, clock, dice = self.team, self.clock, options.dice
         neighbours = Neighbourhood(team.hosts, here, everybody=mission.registry is not None)
         self.peers = Peers(
-            self,
-            transport,
-            clock,
-            dice,
-            team.hosts,
-            team.addresses,
-            here,
-            neighbours.near,
-            options.admission,
+            self, transport, clock, dice, team.hosts, team.addresses, here, neighbours.near, options.admission
         )
         self.guards = Guards(
             mission.drivers, self.clock, self.note, silence=mission.bindings.silence, turned=self.turn

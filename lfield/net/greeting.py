@@ -10,8 +10,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, NoReturn
 
 from lfield.authority.judge import ALL_IS_WELL, Verdict
+from lfield.authority.rights import lacks
 from lfield.errors import GreetingError, WireError
-from lfield.net.rights import lacks
 from lfield.wire.messages import PROTOCOL, ForeignHello, Hello, Refuse
 
 if TYPE_CHECKING:

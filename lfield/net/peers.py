@@ -13,15 +13,15 @@ import asyncio
 import random
 from collections.abc import Callable, Collection, Sequence
 from contextlib import suppress
-from typing import Protocol
 
+from lfield.authority.admission import Admission
 from lfield.authority.identity import Identity
 from lfield.clock import Clock
 from lfield.errors import AddressError, GreetingError, KeysError, WireError
 from lfield.loop import spare_descriptors, spawn
-from lfield.net.admission import Admission
 from lfield.net.greeting import Greeting
 from lfield.net.guests import Guests
+from lfield.net.owner import Complaints, Owner
 from lfield.net.session import Session
 from lfield.net.transport import Link, Listener, Transport
 from lfield.wire.coordinators import Transfer
@@ -41,39 +41,6 @@ NEW_FOR = 1.0
 MOST_UNGREETED, MOST_OBSERVERS = 64, 64
 #: So many descriptors are kept for the next callers, one of which may be an emergency stop.
 SPARE, FULL = 4, "this computer lets this host open no more links"
-#: How many different complaints are remembered, so as not to be repeated.
-MOST_COMPLAINTS = 100
-
-
-class Owner(Protocol):
-    """The host the links belong to."""
-
-    def hello(self) -> Hello:
-        """What this host says of itself now."""
-
-    def linked(self, hello: Hello) -> None:
-        """A host can be talked to."""
-
-    def unlinked(self, host: str, *, quietly: bool) -> None:
-        """A host cannot be talked to any more; `quietly`, since this host did not want to."""
-
-    def wanted(self) -> Collection[str]:
-        """The hosts to have links with now."""
-
-    def received(self, host: str, message: Control, link: Link) -> None:
-        """A message came; `host` is '' when an observer sent it."""
-
-    def arrived(self, host: str, header: Transfer, block: memoryview) -> None:
-        """A coordinator came."""
-
-    def too_large(self, host: str, header: Transfer, size: int) -> None:
-        """A coordinator came whose block was not even read."""
-
-    def revoked(self, data: bytes) -> None:
-        """There is a new revocation list."""
-
-    def note(self, text: str) -> None:
-        """A line for the log."""
 
 
 class Peers:
@@ -111,7 +78,7 @@ class Peers:
         self._links: dict[str, Session] = {}
         self._tasks: list[asyncio.Task[None]] = []
         self._listeners: list[Listener] = []
-        self._complaints: set[str] = set()
+        self._complaints = Complaints(owner.note)
         self._ungreeted: Guests[Session] = Guests(MOST_UNGREETED, dice)
         self._observers: Guests[Session] = Guests(MOST_OBSERVERS, dice)
         #: The hosts that have neither greeted yet nor failed to answer a call, and those that have greeted.
@@ -429,9 +396,4 @@ class Peers:
 
     def complain(self, text: str) -> None:
         """A line for the log, once: a caller that is refused calls again every second."""
-        if text in self._complaints:
-            return
-        if len(self._complaints) >= MOST_COMPLAINTS:
-            self._complaints.clear()
-        self._complaints.add(text)
-        self._owner.note(text)
+        self._complaints.say(text)

@@ -9,10 +9,10 @@ from pathlib import Path
 import msgspec
 import pytest
 
+from lfield.authority.identity import NONE, Identity
 from lfield.bytecode import encoding
 from lfield.capability.reading.reader import read_registry
 from lfield.driver.plugins import discover
-from lfield.authority.identity import NONE, Identity
 from lfield.errors import BlockError, GreetingError, ProgramFileError
 from lfield.host.host import Host, Options
 from lfield.host.logbook import Logbook
