@@ -28,6 +28,11 @@ class Admission:
     #: The own revocation list as it travels, and its number; empty and 0 where there is none.
     list, number = b"", 0
 
+    def __init__(self) -> None:
+        #: Whether the mission of this host goes on; and what keeps a new list for its next life.
+        self.flies: Callable[[], bool] = lambda: False
+        self.keep: Callable[[bytes], None] = lambda data: None
+
     def verdict(self, who: Identity, *, linked: bool = False, expected: str = "") -> Verdict:
         """What somebody is good for now; `linked`: by a link that stands. `expected` is who was called."""
         return ALL_IS_WELL
@@ -43,11 +48,15 @@ class Admission:
         """Take a revocation list; whether it is newer than the own one. Raises KeysError for a bad one."""
         return False
 
+    def line(self) -> str:
+        """What to tell of the time: '' when this computer's clock is believed."""
+        return ""
+
 
 class Judged(Admission):
-    """Whoever has a certificate is judged by it. `own` is this host, `flies` whether its mission goes on.
+    """Whoever has a certificate is judged by it. `own` is this host.
 
-    `revoked` is the own list as it was read, `keys.revoked` as it travels.
+    `revoked` is the own list as it was read, `data` as it travels.
     """
 
     def __init__(
@@ -55,11 +64,12 @@ class Judged(Admission):
         keys: Keys,
         own: Identity,
         time: BelievedTime,
-        flies: Callable[[], bool],
         revoked: Revoked = NOBODY,
+        data: bytes = b"",
     ) -> None:
-        self._authority, self.own, self.time, self._flies = keys.authority, own, time, flies
-        self.revoked, self.list, self.number = revoked, keys.revoked, revoked.number
+        super().__init__()
+        self._authority, self.own, self.time = keys.authority, own, time
+        self.revoked, self.list, self.number = revoked, data, revoked.number
         #: The certificates of hosts that have greeted in this mission, by number.
         self._greeted: set[str] = set()
         time.proven(own.begins, f"the certificate of {own}")
@@ -76,7 +86,7 @@ class Judged(Admission):
             authority=self.own.authority,
             revoked=self.revoked,
             known=known,
-            flies=self._flies(),
+            flies=self.flies(),
             expected=expected,
         )
 
@@ -99,4 +109,8 @@ class Judged(Admission):
             return False
         self.revoked, self.list, self.number = read, data, read.number
         self.time.proven(read.at, f"revocation list {read.number}")
+        self.keep(data)
         return True
+
+    def line(self) -> str:
+        return self.time.line()

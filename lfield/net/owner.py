@@ -39,9 +39,6 @@ class Owner(Protocol):
     def too_large(self, host: str, header: Transfer, size: int) -> None:
         """A coordinator came whose block was not even read."""
 
-    def revoked(self, data: bytes) -> None:
-        """There is a new revocation list."""
-
     def note(self, text: str) -> None:
         """A line for the log."""
 

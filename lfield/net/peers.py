@@ -330,7 +330,7 @@ class Peers:
         except KeysError as error:
             raise WireError(str(error)) from None
         if newer:
-            self._owner.revoked(data)
+            self._owner.note(f"revocation list {self._admission.number} has come")
             for host in self._links:
                 self.send(host, Revocations(data))
             self.judge()
@@ -339,6 +339,8 @@ class Peers:
         """A link has greeted, and its other side has taken ours."""
         self._ungreeted.leave(session)
         self._admission.greeted(session.link.who, hello)
+        if line := self._admission.line():
+            self.complain(line)
         if hello.role == "host" and hello.revoked < self._admission.number:
             session.link.send(Revocations(self._admission.list))
         if hello.role == "host":
