@@ -27,6 +27,9 @@ OLDEST = 1e9
 #: The most numbers of an array of telemetry that a status shows.
 MAX_NUMBERS = 1024
 
+#: The longest revocation list, in bytes.
+MAX_LIST = 64 << 10
+
 Name = Annotated[str, Meta(min_length=1, max_length=MAX_NAME)]
 MaybeName = Annotated[str, Meta(max_length=MAX_NAME)]
 Text = Annotated[str, Meta(max_length=MAX_TEXT)]

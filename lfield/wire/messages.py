@@ -15,7 +15,20 @@ from typing import Annotated, Literal
 from msgspec import Meta, Struct
 
 from lfield.wire.coordinators import Accepted, Ended, EndedAck, Inquire, Known, Refused
-from lfield.wire.fields import Age, Count, FactValue, Hash, Index, Label, MaybeName, Name, Text, ToldBy
+from lfield.wire.fields import (
+    MAX_LIST,
+    Age,
+    Count,
+    FactValue,
+    Hash,
+    Index,
+    Label,
+    MaybeName,
+    Moment,
+    Name,
+    Text,
+    ToldBy,
+)
 from lfield.wire.observing import (
     EmergencyStop,
     EmergencyStopped,
@@ -48,7 +61,9 @@ class Hello(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
     `devices` says what those of its team are, '' where it has none.
     `max_block` is the largest block this host takes, in bytes. `recovery` says in words who decides that a
     coordinator is lost; '' where none is recovered. `origin` says in words where on the Earth its team counts
-    places from; '' where nowhere. `reservation` is how long one lasts unheard, in seconds.
+    places from; '' where nowhere. `reservation` is how long one lasts unheard, in seconds. `time` is what the
+    sender believes it is, in seconds since 1970 UTC, and `revoked` the number of its revocation list; both 0
+    where nobody has keys.
     """
 
     role: Role
@@ -65,6 +80,8 @@ class Hello(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
     recovery: Text = ""
     origin: Text = ""
     reservation: Age = 0.0
+    time: Moment = 0.0
+    revoked: Count = 0
 
     @property
     def remembers(self) -> int:
@@ -165,6 +182,13 @@ class Room(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag
     trouble: Text
 
 
+class Revocations(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=36):
+    """Whose certificates count no more: a list that the authority has signed, in DER. Who has an older one
+    takes it."""
+
+    list: Annotated[bytes, Meta(max_length=MAX_LIST)]
+
+
 #: Messages that share the control frame.
 Control = (
     Accepted
@@ -186,6 +210,7 @@ Control = (
     | Report
     | Heard
     | Room
+    | Revocations
     | QuorumMessage
     | ReservationMessage
 )
