@@ -5,12 +5,15 @@ from __future__ import annotations
 import argparse
 import os
 from contextlib import suppress
-from typing import TYPE_CHECKING
+from dataclasses import replace
+from typing import TYPE_CHECKING, NamedTuple
+
+from lfield.authority.keys import Keys
+from lfield.mission.access.release import Release
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
-    from lfield.authority.keys import Keys
     from lfield.host.process.proving import Proof
     from lfield.net.tls import Tls
 
@@ -22,7 +25,8 @@ def proof_of(host: str, args: argparse.Namespace) -> Proof | None:
     from lfield.text.private import state_folder
 
     if args.keys_fd is not None:
-        return Proof(_inherited(args.keys_fd))
+        given = _inherited(args.keys_fd)
+        return Proof(given.keys, vouched=given.bundle)
     found = folder.find("host", host, args.keys, os.environ)
     if found is None:
         return None
@@ -48,10 +52,18 @@ def tls_for_asking(host: str, args: argparse.Namespace) -> Tls | None:
     return Tls(proof.keys) if proof is not None else None
 
 
-def minted(hosts: Iterable[str]) -> Mapping[str, int]:
+class _Given(NamedTuple):
+    """What a host is given that was started with all others: its keys, and the bundle that is to run."""
+
+    keys: Keys
+    bundle: Release
+
+
+def minted(hosts: Iterable[str], bundle: Release) -> Mapping[str, int]:
     """New keys for each of these hosts, known to nobody else: descriptors that a process can inherit.
 
-    They are in memory only, and gone with the processes of the run.
+    They are in memory only, and gone with the processes of the run. Whoever has such keys was started by this
+    user to run this bundle: that is in the descriptor too, so no host has to load what verifies signatures.
     """
     import time
 
@@ -59,20 +71,20 @@ def minted(hosts: Iterable[str]) -> Mapping[str, int]:
 
     from lfield.authority.minted import Minted
 
-    made = Minted.for_hosts(hosts, time.time())
+    now = time.time()
+    made = Minted.for_hosts(hosts, now)
+    bundle = replace(bundle, by="whoever started it", at=now)
     descriptors = {}
     for host, keys in made.hosts.items():
         descriptors[host] = os.memfd_create("keys", 0)
         with open(descriptors[host], "wb", closefd=False) as file:
-            file.write(msgspec.msgpack.encode(keys))
+            file.write(msgspec.msgpack.encode(_Given(keys, bundle)))
     return descriptors
 
 
-def _inherited(descriptor: int) -> Keys:
+def _inherited(descriptor: int) -> _Given:
     import msgspec
-
-    from lfield.authority.keys import Keys
 
     with open(descriptor, "rb") as file:
         file.seek(0)
-        return msgspec.msgpack.decode(file.read(), type=Keys)
+        return msgspec.msgpack.decode(file.read(), type=_Given)

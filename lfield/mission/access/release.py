@@ -67,12 +67,19 @@ def taken(
     signer's certificate has ended since, or is revoked: a vehicle in the air is not left without its program.
     """
     if not release.digest:
-        raise SignatureError("a host with keys takes bundles only: 'lfield build' makes one")
+        raise SignatureError("a host with keys runs bundles only: 'lfield build' makes one")
     # Only who has keys needs it, and it is large.
     from lfield.authority.signature import signed
 
-    who, signed_at = signed(release.digest, release.signature, authority)
+    try:
+        who, signed_at = signed(release.digest, release.signature, authority)
+    except SignatureError as error:
+        raise _refused(release, str(error)) from None
     verdict = judged_signer(who, signed_at, at=at, authority=fingerprint, revoked=revoked, runs=runs)
     if verdict.extent != "all":
-        raise SignatureError(verdict.why)
+        raise _refused(release, verdict.why)
     return Taken(replace(release, by=str(who), at=signed_at), verdict.why)
+
+
+def _refused(release: Release, why: str) -> SignatureError:
+    return SignatureError(f"bundle {release.short} does not run here: {why}")
