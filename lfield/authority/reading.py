@@ -6,6 +6,7 @@ Everything may be from anywhere: sizes are bounded, and whatever is wrong with i
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable
 from typing import TypeVar
 
@@ -120,8 +121,18 @@ def _listed(data: bytes, public: Ed25519PublicKey) -> Revoked:
 def _sound(what: str, read: Callable[[], Read]) -> Read:
     """What is read, or the sentence that it cannot be."""
     try:
-        return read()
-    except (ValueError, TypeError, OverflowError, UnsupportedAlgorithm, x509.ExtensionNotFound) as error:
+        # What the library only warns of, as a number below 0, is nothing that an authority of ours writes.
+        with warnings.catch_warnings(action="error"):
+            return read()
+    except (
+        Warning,
+        ValueError,
+        TypeError,
+        OverflowError,
+        UnsupportedAlgorithm,
+        x509.ExtensionNotFound,
+        x509.InvalidVersion,
+    ) as error:
         raise KeysError(f"{what} cannot be read ({error}): copy it again") from None
     except (x509.DuplicateExtension, x509.UnsupportedGeneralNameType) as error:
         raise KeysError(f"{what} is not as lfield makes it ({error}): make it with 'lfield keys'") from None

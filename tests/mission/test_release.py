@@ -146,6 +146,17 @@ def test_one_bit_changed_anywhere_is_seen(
         takes(bytes(changed))
 
 
+def test_every_bit_of_a_signature_counts(data: bytes, anna: Signer, takes: Callable[..., Taken]) -> None:
+    """The certificate in it is read by a library that has exceptions of its own for some of them."""
+    signed = anna.signs(data)
+    start = 8 * (len(signed) - len(bundle.contents(signed).signature))
+    for bit in range(start, start + 8 * 80):
+        changed = bytearray(signed)
+        changed[bit // 8] ^= 1 << bit % 8
+        with pytest.raises(SignatureError):
+            takes(bytes(changed))
+
+
 def test_a_signer_whose_certificate_has_ended_signs_no_start_and_stops_no_mission(
     data: bytes, anna: Signer, takes: Callable[..., Taken]
 ) -> None:
