@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import struct
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -118,8 +119,9 @@ def test_another_authority_and_other_people_do_not_count(
     with pytest.raises(KeysError, match="bob may not sign bundles"):
         bob.signs(data)
     digest, second = bundle.contents(data).digest, int(NOW)
-    text = b"lfield bundle\0" + digest + struct.pack("<Q", second)
-    seal = [der_of(bob.keys.certificate), second, private_in(bob.keys.key).sign(text)]
+    certificate = der_of(bob.keys.certificate)
+    text = b"lfield bundle\0" + digest + struct.pack("<Q", second) + hashlib.sha256(certificate).digest()
+    seal = [certificate, second, private_in(bob.keys.key).sign(text)]
     forged = bundle.with_signature(data, msgspec.msgpack.encode(seal))
     assert "bob may not sign bundles: that takes keys that may 'command'" in why(takes, forged)
 
@@ -147,10 +149,11 @@ def test_one_bit_changed_anywhere_is_seen(
 
 
 def test_every_bit_of_a_signature_counts(data: bytes, anna: Signer, takes: Callable[..., Taken]) -> None:
-    """The certificate in it is read by a library that has exceptions of its own for some of them."""
+    """The certificate in it has bits that its own signature says nothing of, and some that cannot be read."""
     signed = anna.signs(data)
-    start = 8 * (len(signed) - len(bundle.contents(signed).signature))
-    for bit in range(start, start + 8 * 80):
+    size = len(bundle.contents(signed).signature)
+    for bit in [*range(8 * 80), *range(8 * (size - 160), 8 * size)]:
+        bit += 8 * (len(signed) - size)
         changed = bytearray(signed)
         changed[bit // 8] ^= 1 << bit % 8
         with pytest.raises(SignatureError):
