@@ -248,7 +248,7 @@ note = Logbook.note
 
 def told(self, text):
     note(self, text)
-    if " is up on " in text:
+    if " is up " in text:
         note(self, "loaded: " + " ".join(sorted(sys.modules)))
 
 Logbook.note = told
