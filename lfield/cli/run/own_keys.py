@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
     from lfield.host.process.proving import Proof
+    from lfield.mission.mission import Mission
     from lfield.net.tls import Tls
 
 
@@ -33,6 +34,33 @@ def proof_of(host: str, args: argparse.Namespace) -> Proof | None:
     # A service may read its keys, and write what it has to keep elsewhere.
     kept = state_folder() / "keys" / folder.inside_name(host)
     return Proof(folder.read(found, "host"), (found, kept), args.lasts)
+
+
+def signed_here(mission: Mission, args: argparse.Namespace) -> Mission:
+    """A mission that was built just now, of this user's files: whoever may sign bundles has signed it by that.
+
+    Without such keys it stays as it is, and a host says what is missing. Raises KeysError for keys that
+    cannot be used.
+    """
+    import time
+
+    from lfield.authority import folder
+    from lfield.authority.signature import sign
+    from lfield.errors import KeysError
+
+    try:
+        found = folder.find("person", folder.ME, args.keys, os.environ)
+    except KeysError:
+        # What is named has the keys of the host alone.
+        return mission
+    if found is None:
+        return mission
+    keys = folder.read(found, "person")
+    try:
+        signature = sign(mission.release.digest, keys, time.time())
+    except KeysError:
+        return mission
+    return replace(mission, release=replace(mission.release, signature=signature))
 
 
 def tls_for_asking(host: str, args: argparse.Namespace) -> Tls | None:
