@@ -107,9 +107,11 @@ def test_a_stranger_who_begins_tls_hears_no_word_of_ours(alpha):
     told(alpha, "this is no TLS 1.3, or it was bent on the way")
     context = ssl.create_default_context()
     context.check_hostname, context.verify_mode = False, ssl.CERT_NONE
-    with connect(alpha) as raw, context.wrap_socket(raw) as sock:
-        with pytest.raises(ssl.SSLError, match="CERTIFICATE_REQUIRED"):
-            sock.recv(1)
+    with (
+        context.wrap_socket(connect(alpha)) as sock,
+        pytest.raises(ssl.SSLError, match="CERTIFICATE_REQUIRED"),
+    ):
+        sock.recv(1)
     told(alpha, "it shows no certificate")
 
 
