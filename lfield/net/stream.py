@@ -174,6 +174,8 @@ class TlsLink(StreamLink):
             self._transport.write(data)
 
     def finished(self, error: LfieldError | None) -> None:
+        # Now, and not when the collector finds this link: of strangers that would pile up until then.
+        self._channel = None
         if not self._calls or (self._proven.done() and not self._proven.cancelled()):
             super().finished(error)
         elif not self._proven.done():

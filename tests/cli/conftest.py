@@ -174,7 +174,7 @@ class Lfield:
     @property
     def environment(self) -> dict[str, str]:
         """What makes a process, and all it starts, one of this test."""
-        return {**os.environ, MARK: self.mark}
+        return {**os.environ, "XDG_CONFIG_HOME": f"{self.folder}/config", MARK: self.mark}
 
     def start(self, *words: object, **options) -> Process:
         """A command that goes on."""
