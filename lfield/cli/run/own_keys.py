@@ -12,7 +12,6 @@ if TYPE_CHECKING:
 
     from lfield.authority.keys import Keys
     from lfield.host.process.proving import Proof
-    from lfield.net.tls import Tls
 
 
 def proof_of(host: str, args: argparse.Namespace) -> Proof | None:
@@ -31,21 +30,20 @@ def proof_of(host: str, args: argparse.Namespace) -> Proof | None:
     return Proof(folder.read(found, "host"), (found, kept), args.lasts)
 
 
-def tls_for_asking(host: str, args: argparse.Namespace) -> Tls | None:
+def keys_for_asking(host: str, args: argparse.Namespace) -> Keys | None:
     """What somebody asks the others with who starts a host: this user's keys, else the host's.
 
     Raises KeysError.
     """
     from lfield.authority import folder
     from lfield.errors import KeysError
-    from lfield.net.tls import Tls
 
     with suppress(KeysError):
         found = folder.find("person", folder.ME, args.keys, os.environ)
         if found is not None:
-            return Tls(folder.read(found, "person"))
+            return folder.read(found, "person")
     proof = proof_of(host, args)
-    return Tls(proof.keys) if proof is not None else None
+    return proof.keys if proof is not None else None
 
 
 def minted(hosts: Iterable[str]) -> Mapping[str, int]:
