@@ -16,7 +16,6 @@ if TYPE_CHECKING:
 
     from lfield.host.process.proving import Proof
     from lfield.mission.mission import Mission
-    from lfield.net.tls import Tls
 
 
 def proof_of(host: str, args: argparse.Namespace) -> Proof | None:
@@ -63,21 +62,20 @@ def signed_here(mission: Mission, args: argparse.Namespace) -> Mission:
     return replace(mission, release=replace(mission.release, signature=signature))
 
 
-def tls_for_asking(host: str, args: argparse.Namespace) -> Tls | None:
+def keys_for_asking(host: str, args: argparse.Namespace) -> Keys | None:
     """What somebody asks the others with who starts a host: this user's keys, else the host's.
 
     Raises KeysError.
     """
     from lfield.authority import folder
     from lfield.errors import KeysError
-    from lfield.net.tls import Tls
 
     with suppress(KeysError):
         found = folder.find("person", folder.ME, args.keys, os.environ)
         if found is not None:
-            return Tls(folder.read(found, "person"))
+            return folder.read(found, "person")
     proof = proof_of(host, args)
-    return Tls(proof.keys) if proof is not None else None
+    return proof.keys if proof is not None else None
 
 
 class _Given(NamedTuple):

@@ -285,7 +285,7 @@ def _place(mission: Mission, host: str, args: argparse.Namespace) -> tuple[Path,
 def _ready(mission: Mission, host: str, args: argparse.Namespace) -> bool:
     """Whether the host may start: with --fresh, when what it keeps was thrown away. Raises LfieldError."""
     from lfield.cli.run.fresh import begun_anew
-    from lfield.cli.run.own_keys import tls_for_asking
+    from lfield.cli.run.own_keys import keys_for_asking
 
     if args.yes and not args.fresh:
         raise UsageError("--yes is an answer to --fresh")
@@ -294,7 +294,7 @@ def _ready(mission: Mission, host: str, args: argparse.Namespace) -> bool:
     if not _keeps(mission, args):
         raise UsageError("--fresh is for a host that keeps its coordinators: this one keeps nothing")
     others = {name: address for name, address in mission.team.reached.items() if name != host}
-    return begun_anew(*_place(mission, host, args), others, tell, tls_for_asking(host, args), yes=args.yes)
+    return begun_anew(*_place(mission, host, args), others, tell, keys_for_asking(host, args), yes=args.yes)
 
 
 def _with_own_drivers(mission: Mission, host: str) -> Mission:
