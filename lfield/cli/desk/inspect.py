@@ -137,7 +137,8 @@ def _show_mission(file: Path) -> int:
     if mission.fenced:
         print(f"\nrecovery of {listed(sorted(mission.fenced))} by {mission.recovery}")
     if mission.access.file:
-        whom = [rule.name for rule in (*mission.access.people, *mission.access.callers)]
+        whom = [person.name for person in mission.access.people]
+        whom += [caller.name for caller in mission.access.callers]
         print(f"\n{mission.access.file} says what they may do: {listed(dict.fromkeys(whom))}")
     for name, driver in mission.drivers.by_driver.items():
         print(f"\ndriver {name} of {driver.to_install}")
