@@ -36,7 +36,7 @@ def proof_of(host: str, args: argparse.Namespace) -> Proof | None:
 
 
 def signed_here(mission: Mission, args: argparse.Namespace) -> Mission:
-    """A mission that was built just now, of this user's files: whoever may sign bundles has signed it by that.
+    """A mission that was built just now of files: by having it run, whoever may sign bundles has signed it.
 
     Without such keys it stays as it is, and a host says what is missing. Raises KeysError for keys that
     cannot be used.

@@ -109,7 +109,7 @@ class Reserving:
         return self._scheduler.world.take(agent, wanted.resource, nested=self._held.nested(agent))
 
     def _barred(self, agent: Agent, resource: Member) -> str:
-        """Why a coordinator must not keep a resource from others: it may call nothing of it. '' when it may."""
+        """Why a coordinator must not keep a resource from others: it may call nothing of it; '' if it may."""
         rules, methods = self._scheduler.attached.rules, self._scheduler.program.core.methods
         if rules is None:
             return ""

@@ -48,7 +48,7 @@ agents:
 
 @pytest.fixture
 def bundled(lfield, here):
-    """`bundled()` builds the mission of a test's folder, signed, and takes the files it was built from away."""
+    """`bundled()` builds and signs the mission of a test's folder, and takes away what it was built from."""
 
     def build() -> None:
         made = here("build", "mission.dL")
