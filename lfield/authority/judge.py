@@ -41,6 +41,10 @@ class Revoked:
     serials: frozenset[str] = frozenset()
     at: float = 0.0
 
+    def __str__(self) -> str:
+        count = len(self.serials)
+        return f"list {self.number} of {when(self.at)}, with {count} certificate{'s' * (count != 1)}"
+
 
 #: Where there is no list.
 NOBODY = Revoked()
