@@ -56,14 +56,10 @@ def minted(hosts: Iterable[str]) -> Mapping[str, int]:
     import msgspec
 
     from lfield.authority.minted import Minted
+    from lfield.net.tls import piped
 
     made = Minted.for_hosts(hosts, time.time())
-    descriptors = {}
-    for host, keys in made.hosts.items():
-        descriptors[host] = os.memfd_create("keys", 0)
-        with open(descriptors[host], "wb", closefd=False) as file:
-            file.write(msgspec.msgpack.encode(keys))
-    return descriptors
+    return {host: piped(msgspec.msgpack.encode(keys)) for host, keys in made.hosts.items()}
 
 
 def _inherited(descriptor: int) -> Keys:
@@ -72,5 +68,4 @@ def _inherited(descriptor: int) -> Keys:
     from lfield.authority.keys import Keys
 
     with open(descriptor, "rb") as file:
-        file.seek(0)
         return msgspec.msgpack.decode(file.read(), type=Keys)

@@ -223,7 +223,7 @@ def test_a_driver_that_is_not_the_one_of_the_desk_is_refused(lfield) -> None:
         (["check", "cut.lfm"], 65, "is not a sound bundle"),
         (["disasm", "cut.lfm"], 65, "is not a sound bundle"),
         (["inspect", "cut.lfm"], 65, "is not a sound bundle"),
-        (["up", "newer.lfm"], 65, "it has format 9, this lfield reads format 1"),
+        (["up", "newer.lfm"], 65, "it has format 9, this lfield reads format 2"),
         (["up", "mission.lfm"], 64, "name one with --host, or run all of them here with --all"),
     ],
 )
