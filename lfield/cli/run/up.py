@@ -58,21 +58,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default=15.0,
         help="with --until-done: end when a host was not heard by anybody for so long (default 15)",
     )
-    parser.add_argument(
-        "--state", metavar="DIR", type=Path, help="where a host keeps its coordinators; also with --sim"
-    )
-    parser.add_argument(
-        "--volatile", action="store_true", help="keep nothing: what a host has is gone when it stops"
-    )
-    parser.add_argument(
-        "--fresh", action="store_true", help="begin anew: throw away, after a yes, what this host keeps"
-    )
-    parser.add_argument("--yes", action="store_true", help="with --fresh: throw it away without asking")
-    parser.add_argument(
-        "--first-start",
-        action="store_true",
-        help="this host has never started its coordinators before, and need not hear all others first",
-    )
+    _add_kept(parser)
     parser.add_argument(
         "--engine",
         choices=("auto", "wasm", "reference"),
@@ -90,6 +76,24 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="how long the mission may take: keys that end before that are refused (default a day)",
     )
     _add_hidden(parser)
+
+
+def _add_kept(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--state", metavar="DIR", type=Path, help="where a host keeps its coordinators; also with --sim"
+    )
+    parser.add_argument(
+        "--volatile", action="store_true", help="keep nothing: what a host has is gone when it stops"
+    )
+    parser.add_argument(
+        "--fresh", action="store_true", help="begin anew: throw away, after a yes, what this host keeps"
+    )
+    parser.add_argument("--yes", action="store_true", help="with --fresh: throw it away without asking")
+    parser.add_argument(
+        "--first-start",
+        action="store_true",
+        help="this host has never started its coordinators before, and need not hear all others first",
+    )
 
 
 def _add_hidden(parser: argparse.ArgumentParser) -> None:
