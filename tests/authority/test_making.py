@@ -8,7 +8,7 @@ import ssl
 import pytest
 from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption, PrivateFormat
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from lfield.authority.identity import ALL, STRANGER, Identity, Right, identity_of
@@ -156,7 +156,6 @@ def test_a_certificate_with_any_byte_changed_is_refused(authority: Authority) ->
                 identity_in_der(wrong, authority.certificate)
 
 
-@settings(deadline=None)
 @given(st.binary(max_size=300))
 def test_bytes_from_anywhere_are_no_certificate_and_no_list(authority: Authority, data: bytes) -> None:
     for read in (identity_in_der, identity_in, revoked_in):

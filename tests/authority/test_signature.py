@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from lfield.authority.identity import Right
@@ -70,7 +70,6 @@ def test_no_bit_of_a_signature_can_be_changed(minted: Minted, signature: bytes) 
         refused(DIGEST, wrong, minted.authority)
 
 
-@settings(deadline=None)
 @given(st.data())
 def test_no_bytes_can_be_taken_away_or_put_in(minted: Minted, signature: bytes, data: st.DataObject) -> None:
     at = data.draw(st.integers(0, len(signature) - 1))
@@ -78,7 +77,6 @@ def test_no_bytes_can_be_taken_away_or_put_in(minted: Minted, signature: bytes, 
     refused(DIGEST, signature[:at] + data.draw(st.binary(min_size=1)) + signature[at:], minted.authority)
 
 
-@settings(deadline=None)
 @given(st.binary(min_size=1, max_size=400))
 def test_bytes_from_anywhere_are_no_signature(minted: Minted, data: bytes) -> None:
     refused(DIGEST, data, minted.authority)
