@@ -2,15 +2,30 @@
 
 from __future__ import annotations
 
+import os
+from collections.abc import Sequence
+from functools import cache
 from pathlib import Path
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from lfield.authority.identity import Right
+from lfield.capability.reading.reader import read_registry
 from lfield.cli.main import main
-from lfield.errors import ProgramError
+from lfield.errors import Finding, ProgramError
 from lfield.mission import bundle
-from lfield.mission.access.rules import UNWRITTEN, Access, Caller, Line, Person
+from lfield.mission.access.access_file import read_access
+from lfield.mission.access.rules import (
+    UNWRITTEN,
+    Access,
+    Caller,
+    Line,
+    Person,
+    decode_access,
+    encode_access,
+)
 from lfield.mission.load import load_mission, mission_problems
 from lfield.mission.mission import Mission
 
@@ -188,6 +203,53 @@ def test_a_file_that_cannot_be_read_is_named(tmp_path: Path, capsys: pytest.Capt
     (tmp_path / "mission.access.yaml").mkdir()
     assert main(["check", str(deploy)]) == 66
     assert "mission.access.yaml" in capsys.readouterr().err
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Mission:
+    return loaded(tmp_path_factory.mktemp("site"), PAGE)
+
+
+known = cache(read_registry)
+WORDS = (
+    "all",
+    "others",
+    "[]",
+    "{}",
+    "*",
+    "boss",
+    "Arm",
+    "Lift",
+    "home",
+    ":",
+    ",",
+    "\n  ",
+    "[[",
+    "&a",
+    "\0",
+    "\u2028",
+)
+
+
+@given(st.data())
+def test_any_text_is_rules_or_findings_with_places(
+    site: Mission, tmp_path_factory: pytest.TempPathFactory, draw: st.DataObject
+) -> None:
+    start, end = sorted((draw.draw(st.integers(0, len(PAGE))), draw.draw(st.integers(0, len(PAGE)))))
+    new = draw.draw(st.sampled_from(WORDS) | st.text(max_size=8))
+    path = tmp_path_factory.getbasetemp() / f"any{os.getpid()}.access.yaml"
+    path.write_text(PAGE[:start] + new + PAGE[min(end, start + 9) :], encoding="utf-8", newline="")
+    findings: Sequence[Finding] = ()
+    access = UNWRITTEN
+    try:
+        access = read_access(path, site.team.members, site.program, known)
+    except ProgramError as error:
+        findings = error.diagnostics
+    assert all(finding.render().count("\n") >= 2 for finding in findings)
+    assert decode_access(encode_access(access)) == access
+    for coordinator in site.team.coordinators:
+        for resource in site.team.members:
+            assert access.refusal(coordinator, resource, "home").count("\n") == 0
 
 
 def test_rules_travel_in_the_bundle_and_count_as_the_mission(tmp_path: Path) -> None:
