@@ -133,9 +133,13 @@ def write_list(folder: Path, revoked: bytes) -> None:
     write_private(folder / REVOKED, revoked, 0o644, durable=True)
 
 
+def inside_name(name: str) -> str:
+    """What the folder of a host is called; names of deployments may have dots, and none leads out of it."""
+    return f"_{name}" if name.startswith(".") else name
+
+
 def _inside(base: Path, name: str) -> Path:
-    """The folder of a host; names of deployments may have dots, and none leads out of the base."""
-    return base / (f"_{name}" if name.startswith(".") else name)
+    return base / inside_name(name)
 
 
 def _read(path: Path, most: int, *, secret: bool = False, needed: bool = True) -> bytes:

@@ -135,6 +135,10 @@ def _show_mission(file: Path) -> int:
                 print(f"    {device.field} = {device.type} by {device.driver} at {device.endpoint}")
     if mission.fenced:
         print(f"\nrecovery of {listed(sorted(mission.fenced))} by {mission.recovery}")
+    if mission.access.file:
+        whom = [person.name for person in mission.access.people]
+        whom += [caller.name for caller in mission.access.callers]
+        print(f"\n{mission.access.file} says what they may do: {listed(dict.fromkeys(whom))}")
     for name, driver in mission.drivers.by_driver.items():
         print(f"\ndriver {name} of {driver.to_install}")
     return 0
