@@ -95,7 +95,7 @@ class Judged(Admission):
         return Verdict(found.extent, found.why, barred) if barred else found
 
     def signed(self, hello: Hello) -> Hello:
-        return replace(hello, time=self.time.now(), revoked=self.number)
+        return replace(hello, time=self.time.to_say(), revoked=self.number)
 
     def greeted(self, who: Identity, hello: Hello) -> None:
         self.time.told(hello.time, who)

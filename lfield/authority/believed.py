@@ -4,7 +4,7 @@ A Raspberry Pi has no battery: it begins where it stopped, or long ago, until so
 clock that is behind takes certificates that have ended. So it is the latest of these:
 
 - **this computer's clock**;
-- **what was believed before**, from the journal;
+- **what it was when this host ran before**, from its journal;
 - **what the authority has signed**: it makes no certificate and no list that begins later on, so when one
   begins it was that time already. Therefore no certificate is "not yet valid" to whoever has seen it here;
 - **what the team says**: the time in the greeting of a peer, if it lies within that peer's own certificate. A
@@ -32,7 +32,7 @@ NOTABLE = 60.0
 class BelievedTime:
     """The believed time of one host, in seconds since 1970 UTC.
 
-    `kept` is what `to_keep` gave before a restart, 0 where nothing is kept.
+    `kept` is the latest time that its journal knows of, 0 where there is none.
     """
 
     def __init__(self, clock: Clock, kept: float = 0.0) -> None:
@@ -57,14 +57,6 @@ class BelievedTime:
     def to_say(self) -> float:
         """What to tell the team in greetings: without what others have told."""
         return max(self._clock.time(), self._clock.monotonic() + self._proven[0])
-
-    def to_keep(self, ends: float = math.inf) -> float:
-        """What to keep for after a restart, without the team's word.
-
-        Not later than the own certificate `ends`: a clock that was wrong for a moment must not bar the next
-        one, which is made when the right time is before that.
-        """
-        return min(self.to_say(), ends)
 
     def line(self) -> str:
         """What to tell when the clock is behind what is believed; '' when it is not."""
