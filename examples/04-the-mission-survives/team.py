@@ -13,6 +13,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
+from lfield.testing.keys import Keyring
+
 #: Seconds within which a word of the mission must come.
 PATIENCE = 60.0
 #: What is shown of all that hosts say.
@@ -40,6 +42,9 @@ class Team:
         self._ports = {host: free_port() for host in hosts}
         self._fakes: list[subprocess.Popen[str]] = []
         self._hosts: dict[str, subprocess.Popen[str]] = {}
+        # As on several computers, each host proves who it is: `lfield keys` makes these in the field.
+        self._keyring = Keyring(folder / "keys" / policy)
+        self._keys = "--keys", str(self._keyring.give(*hosts))
         self.lines: list[Line] = []
         self._said = threading.Condition()
 
@@ -56,13 +61,15 @@ class Team:
         built = subprocess.run([sys.executable, "-m", "lfield", *words], capture_output=True, text=True)
         if built.returncode:
             raise Failed(built.stderr)
+        # Hosts with keys take no other: `lfield sign` does this in the field.
+        self._keyring.sign(self._bundle)
         for host in self._ports:
             self.start(host)
 
     def start(self, host: str) -> None:
         """Start a host, as systemd does; what it has kept is in the folder."""
         maps = [f"--map={name}=127.0.0.1:{port}" for name, port in self._ports.items()]
-        words = ("up", str(self._bundle), "--host", host, "--state", str(self._folder), *maps)
+        words = ("up", str(self._bundle), "--host", host, "--state", str(self._folder), *maps, *self._keys)
         process = self._hosts[host] = popen(*words)
         threading.Thread(target=self._read, args=(host, process), daemon=True).start()
 

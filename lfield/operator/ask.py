@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 import asyncio
+import os
 import sys
-from collections.abc import Hashable, Mapping, Sequence
+from collections.abc import Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Generic, TypeVar
+from pathlib import Path
+from typing import TYPE_CHECKING, Generic, NamedTuple, TypeVar
 
-from lfield.errors import AddressError, GreetingError, LfieldError, NobodyListens, WireError
+from lfield.authority import folder
+from lfield.errors import AddressError, GreetingError, KeysError, LfieldError, NobodyListens, WireError
 from lfield.net.greeting import Greeting
+from lfield.net.stream import UNIX
 from lfield.net.tcp import TcpTransport
 from lfield.net.transport import Link, Transport
 from lfield.operator.addressed import Party, Place
 from lfield.wire.coordinators import Transfer
 from lfield.wire.fields import clip
-from lfield.wire.messages import Hello, Message
+from lfield.wire.messages import Hello, Message, Refuse, Revocations
 from lfield.wire.observing import (
     EmergencyStop,
     EmergencyStopped,
@@ -27,6 +31,9 @@ from lfield.wire.observing import (
     Status,
     StatusRequest,
 )
+
+if TYPE_CHECKING:
+    from lfield.authority.keys import Keys
 
 T = TypeVar("T", bound=Status | EmergencyStopped | Forgotten | Recovered)
 K = TypeVar("K", bound=Hashable)
@@ -45,6 +52,13 @@ class Request(Generic[T]):
     message: StatusRequest | EmergencyStop | Forget | Pause | Recover
     answer: type[T]
     bound: float
+
+
+class Brought(NamedTuple):
+    """A revocation list, and its number."""
+
+    number: int
+    data: bytes
 
 
 STATUS = Request(StatusRequest(), Status, 2.0)
@@ -75,10 +89,22 @@ def recover(word: Recover) -> Request[Recovered]:
     return Request(word, Recovered, 8.0)
 
 
-def ask_parties(parties: Sequence[Party], request: Request[T]) -> dict[Place, T | LfieldError]:
-    """What all hosts of some parties answer, in their order."""
+def ask_parties(
+    parties: Sequence[Party], request: Request[T], keys: Path | None = None
+) -> dict[Place, T | LfieldError]:
+    """What all hosts of some parties answer, in their order. `keys` is where those of this user should be."""
     places = {place: address for party in parties for place, address in party.places.items()}
-    return asyncio.run(ask_all(observer(), places, request))
+    answers: dict[Place, T | LfieldError] = {}
+    try:
+        own = own_keys(places.values(), keys)
+        transport, brings = observer(own), brought(own)
+    except KeysError as error:
+        # Whoever is on this computer must hear it all the same: it may be a stop.
+        transport, brings = observer(), None
+        answers = {place: error for place, address in places.items() if not address.startswith(UNIX)}
+    asked = {place: address for place, address in places.items() if place not in answers}
+    answers |= asyncio.run(ask_all(transport, asked, request, brings))
+    return {place: answers[place] for place in places}
 
 
 def by_host(answers: Mapping[Place, T | LfieldError], party: Party) -> Answers[T]:
@@ -102,32 +128,76 @@ def tell_silent(hosts: Mapping[str, LfieldError], meaning: str = "") -> None:
         print(f"{host}: {meaning}{why}", file=sys.stderr)
 
 
-def observer(connect_timeout: float = 2.0) -> TcpTransport:
-    """What links to hosts are made with; `connect_timeout` in seconds."""
-    return TcpTransport(_MAX_BLOCK, connect_timeout=connect_timeout)
+def observer(keys: Keys | None = None, connect_timeout: float = 2.0) -> TcpTransport:
+    """What links to hosts are made with; `connect_timeout` in seconds. Over a network it takes keys.
+
+    Raises KeysError for keys that cannot be used.
+    """
+    if keys is None:
+        return TcpTransport(_MAX_BLOCK, connect_timeout=connect_timeout)
+    # Most commands ask on this computer, and TLS takes its time to load.
+    from lfield.net.tls import Tls
+
+    return TcpTransport(_MAX_BLOCK, Tls(keys), connect_timeout=connect_timeout)
+
+
+def own_keys(addresses: Iterable[str], named: Path | None) -> Keys | None:
+    """The keys of this user; None where there are none, or nobody is asked over a network.
+
+    Raises KeysError.
+    """
+    if all(address.startswith(UNIX) for address in addresses):
+        return None
+    found = folder.find("person", folder.ME, named, os.environ)
+    return folder.read(found, "person") if found is not None else None
+
+
+def brought(keys: Keys | None) -> Brought | None:
+    """The revocation list of somebody's keys, for hosts that have an older one. Raises KeysError."""
+    if keys is None or not keys.revoked:
+        return None
+    # It is seldom there, and cryptography is large.
+    from lfield.authority.reading import revoked_in
+
+    return Brought(revoked_in(keys.revoked, keys.authority).number, keys.revoked)
 
 
 async def ask_all(
-    transport: Transport, addresses: Mapping[K, str], request: Request[T]
+    transport: Transport, addresses: Mapping[K, str], request: Request[T], brings: Brought | None = None
 ) -> dict[K, T | LfieldError]:
-    """The answer of every host by its key, all asked at once."""
+    """The answer of every host by its key, all asked at once; `brings` a revocation list to them."""
 
-    async def one(address: str) -> T | LfieldError:
+    async def one(key: K, address: str) -> T | LfieldError:
+        host = key.host if isinstance(key, Place) else str(key)
         try:
-            return await ask(transport, address, request)
+            return await ask(transport, address, request, host, brings)
         except LfieldError as error:
             return error
 
-    answers = await asyncio.gather(*(one(address) for address in addresses.values()))
+    answers = await asyncio.gather(*(one(*place) for place in addresses.items()))
     return dict(zip(addresses, answers, strict=True))
 
 
-async def ask(transport: Transport, address: str, request: Request[T]) -> T:
-    """The answer of the host at an address. Raises AddressError, GreetingError, WireError."""
-    asking = _Asking(request)
+async def ask(
+    transport: Transport,
+    address: str,
+    request: Request[T],
+    host: str | None = None,
+    brings: Brought | None = None,
+) -> T:
+    """The answer of the host at an address, where `host` is meant to be.
+
+    Raises AddressError, GreetingError, WireError, KeysError.
+    """
+    asking = _Asking(request, host, brings)
     link = await transport.connect(address, asking)
     try:
-        link.send(asking.greeting.own)
+        if link.who.kind == "stranger":
+            raise KeysError(
+                f"the host at {address} takes commands from those alone who have keys: 'lfield keys person' "
+                "makes them, and --keys, $LFIELD_KEYS or ~/.config/lfield/keys/me says where they are"
+            )
+        asking.greet(link)
         async with asyncio.timeout(request.bound):
             return await asking.answer
     except TimeoutError:
@@ -140,15 +210,28 @@ async def ask(transport: Transport, address: str, request: Request[T]) -> T:
 class _Asking(Generic[T]):
     """The handler of one link: greets, asks, keeps the answer."""
 
-    def __init__(self, request: Request[T]) -> None:
-        self._request = request
-        self.greeting = Greeting(Hello("observer", "observer", 0))
+    def __init__(self, request: Request[T], host: str | None, brings: Brought | None) -> None:
+        self._request, self._host, self._brings = request, host, brings
+        self._greeting: Greeting | None = None
         self.answer: asyncio.Future[T] = asyncio.get_running_loop().create_future()
 
+    def greet(self, link: Link) -> Greeting:
+        """Greet whoever is there, once; what the host says may come before whoever connects gets its turn."""
+        if self._greeting is None:
+            self._greeting = Greeting(Hello("observer", "observer", 0), link.who, dialled=self._host)
+            link.send(self._greeting.begin())
+        return self._greeting
+
     def on_message(self, link: Link, message: Message) -> None:
-        if self.greeting.peer is None:
-            link.greeted(self.greeting.receive(message).role)
+        greeting = self.greet(link)
+        if greeting.peer is None:
+            hello = greeting.receive(message)
+            link.greeted(hello.role)
+            if self._brings is not None and hello.revoked < self._brings.number:
+                link.send(Revocations(self._brings.data))
             link.send(self._request.message)
+        elif isinstance(message, Refuse):
+            raise GreetingError(f"{greeting.peer.host} refused: {message.reason}")
         elif isinstance(message, self._request.answer) and not self.answer.done():
             self.answer.set_result(message)
 

@@ -32,6 +32,8 @@ from links import Link
 from storm import Storm
 from verdict import Verdict
 
+from lfield.testing.keys import Keyring
+
 PROGRAM = Path(__file__).with_name("walkers.L")
 HOSTS, NUMBERS = 4, 150
 #: Those that wait for their host, and those that go on without it; each begins on another host.
@@ -46,9 +48,13 @@ class Round:
     """One team, from its first start to its end."""
 
     def __init__(self, bundle: Path, folder: Path, seed: int) -> None:
-        self._bundle, self._folder = bundle, folder
+        self._bundle, self._folder = folder / bundle.name, folder
         self.verdict = Verdict(dict.fromkeys((*WALKERS, *FENCED), NUMBERS))
         self._dice = random.Random(seed)
+        keyring = Keyring(folder / "keys")
+        self._keys = str(keyring.give(*(f"h{number}" for number in range(HOSTS))))
+        self._bundle.write_bytes(bundle.read_bytes())
+        keyring.sign(self._bundle)
         self.disks = [Disk(folder / f"disk{number}") for number in range(HOSTS)]
         self.hosts: list[HostProcess] = []
         self.faults: Counter[str] = Counter()
@@ -83,6 +89,7 @@ class Round:
         maps += [f"--map=h{b}=127.0.0.1:{at}" for (a, b), at in calls.items() if a == number]
         state = str(self.disks[number].folder)
         words = ("up", str(self._bundle), "--host", name, *maps, "--state", state, *IMPATIENT)
+        words = (*words, "--keys", self._keys)
         hear = partial(self._hear, name)
         return HostProcess(name, words, self._folder / f"{name}.log", hear)
 
