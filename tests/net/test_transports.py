@@ -221,6 +221,29 @@ def test_whoever_calls_knows_at_once_who_is_there(tls):
     assert str(pair.far.link.who) == "host alpha"
 
 
+class Counted:
+    """A transport of asyncio, and how often something was written to it."""
+
+    def __init__(self, transport) -> None:
+        self._transport, self.writes = transport, 0
+
+    def write(self, data) -> None:
+        self.writes += 1
+        self._transport.write(data)
+
+    def __getattr__(self, name: str):
+        return getattr(self._transport, name)
+
+
+def test_a_hop_in_tls_is_one_write(tls):
+    pair = Pair(tls)
+    counted = pair.link._transport = Counted(pair.link._transport)
+    for number, size in enumerate((0, 1000, 64 << 10), 1):
+        pair.link.send_transfer(transfer(size, number), bytes(size))
+        assert counted.writes == number
+    tls.until(lambda: len(pair.far.heard) == 3)
+
+
 def test_two_authorities_have_no_link():
     loop = new_loop("asyncio")
     ours, theirs = TlsBench(loop), TlsBench(loop)
