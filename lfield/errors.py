@@ -2,7 +2,7 @@
 
     LfieldError
     ├── UsageError                the command line was wrong                                  64
-    ├── ProgramError              an L program or a deployment has errors (diagnostics)       65
+    ├── ProgramError              an L program, deployment or access file has errors         65
     ├── BindingError              a devices file is wrong, or a device is missing             65
     │   └── DevicesError          devices that cannot be opened: no library, port or answer   69
     ├── ConstraintError           a condition over attributes that cannot be judged           65
@@ -72,7 +72,7 @@ class UsageError(LfieldError):
 
 
 class ProgramError(LfieldError):
-    """An L program or a deployment file with errors: all of them, in source order."""
+    """An L program, a deployment, a registry or an access file with errors: all of them, in source order."""
 
     exit_status = exits.DATA
 

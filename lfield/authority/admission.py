@@ -7,18 +7,18 @@ command of this computer, whom the kernel knows.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import partial
 from typing import TYPE_CHECKING
 
 from msgspec.structs import replace
 
-from lfield.authority.judge import ALL_IS_WELL, NOBODY, judged
+from lfield.authority.judge import ALL_IS_WELL, NOBODY, Verdict, judged
 
 if TYPE_CHECKING:
     from lfield.authority.believed import BelievedTime
-    from lfield.authority.identity import Identity
-    from lfield.authority.judge import Known, Revoked, Verdict
+    from lfield.authority.identity import Identity, Right
+    from lfield.authority.judge import Known, Revoked
     from lfield.authority.keys import Keys
     from lfield.wire.messages import Hello
 
@@ -33,6 +33,8 @@ class Admission:
         #: Whether the mission of this host goes on; and what keeps a new list for its next life.
         self.flies: Callable[[], bool] = lambda: False
         self.keep: Callable[[bytes], None] = lambda data: None
+        #: What the mission takes of somebody's rights, and by which rule, in a sentence.
+        self.barred: Callable[[Identity], Mapping[Right, str]] = lambda who: {}
 
     def verdict(self, who: Identity, *, linked: bool = False, expected: str = "") -> Verdict:
         """What somebody is good for now; `linked`: by a link that stands. `expected` is who was called."""
@@ -91,11 +93,14 @@ class Judged(Admission):
             expected=expected,
         )
         # Every link is judged every second, and mostly it does not matter whether anything flies.
-        verdict = judge(flies=False)
-        return verdict if verdict.extent == "all" or known == "new" else judge(flies=self.flies())
+        found = judge(flies=False)
+        if found.extent != "all" and known != "new":
+            found = judge(flies=self.flies())
+        barred = self.barred(who)
+        return Verdict(found.extent, found.why, barred) if barred else found
 
     def signed(self, hello: Hello) -> Hello:
-        return replace(hello, time=self.time.now(), revoked=self.number)
+        return replace(hello, time=self.time.to_say(), revoked=self.number)
 
     def greeted(self, who: Identity, hello: Hello) -> None:
         self.time.told(hello.time, who)

@@ -12,6 +12,7 @@ they follow one another. So the digest in the header is one of all, and what the
     registry  what the team can do (registry_part.py); empty when the program names no capability
     bindings  limits, devices, and the addresses of hosts
     drivers   what is known of the drivers of these devices
+    access    who may do what (access/rules.py); empty when there is no access file
     texts     name, warnings, sources and line maps: what messages are made of
 
 The same mission is always the same bytes. Reading is safe for bytes from anywhere: nothing is executed, every
@@ -33,6 +34,8 @@ from lfield.bytecode.program import Debug, Program
 from lfield.capability.model import Registry
 from lfield.driver.known import KnownDriver, KnownDrivers
 from lfield.errors import BindingError, BundleError, InputFileError, ProgramFileError
+from lfield.mission.access.release import Release
+from lfield.mission.access.rules import Access, decode_access, encode_access
 from lfield.mission.bindings import Bindings, with_files
 from lfield.mission.bundle_check import check_bindings, check_rows
 from lfield.mission.mission import Mission, needed_devices
@@ -48,7 +51,7 @@ MAX_SIZE = 64 << 20
 
 _HEADER = struct.Struct("<4sHHI32s")
 #: The parts in their order.
-PARTS = ("program", "team", "registry", "bindings", "drivers", "texts")
+PARTS = ("program", "team", "registry", "bindings", "drivers", "access", "texts")
 
 
 class Part(NamedTuple):
@@ -104,6 +107,7 @@ def encode(mission: Mission) -> bytes:
         b"" if mission.registry is None else encode_registry(mission.registry),
         _encoder.encode(Bound(mission.bindings, mission.team.reached)),
         _encoder.encode({name: driver.plain for name, driver in mission.drivers.by_driver.items()}),
+        encode_access(mission.access),
         _encoder.encode(Texts(mission.name, mission.warnings, mission.program.debug)),
     )
     rows = [Part(name, len(p), hashlib.sha256(p).digest()) for name, p in zip(PARTS, parts, strict=True)]
@@ -160,7 +164,8 @@ def _split(rows: tuple[Part, ...], data: memoryview) -> dict[str, memoryview]:
 
 def decode(data: bytes) -> Mission:
     """The mission in the bytes of a bundle, checked as a whole. Raises BundleError."""
-    parts = contents(data).parts
+    whole = contents(data)
+    parts, release = whole.parts, Release(whole.digest, whole.signature)
     texts: Texts = _decoded("texts", _texts, parts)
     try:
         program = encoding.decode_core(parts["program"], texts.debug)
@@ -170,8 +175,10 @@ def decode(data: bytes) -> Mission:
     team = _team(_decoded("team", _rows, parts), program, bound.addresses)
     drivers = KnownDrivers(_decoded("drivers", _drivers, parts))
     check_bindings(bound.bindings, needed_devices(program, team), drivers, team.hosts)
-    registry = _registry(parts["registry"], bound.bindings)
-    return _decided(Mission(texts.name, program, team, bound.bindings, drivers, registry, texts.warnings))
+    registry, access = _registry(parts["registry"], bound.bindings), _access(parts["access"])
+    return _decided(
+        Mission(texts.name, program, team, bound.bindings, drivers, registry, texts.warnings, access, release)
+    )
 
 
 def _decided(mission: Mission) -> Mission:
@@ -207,6 +214,13 @@ def _registry(data: memoryview, bindings: Bindings) -> Registry | None:
         return registry
     except (msgspec.DecodeError, RecursionError, ValueError) as error:
         raise BundleError(f"its registry cannot be read ({error})") from None
+
+
+def _access(data: memoryview) -> Access:
+    try:
+        return decode_access(data)
+    except (msgspec.DecodeError, RecursionError, ValueError) as error:
+        raise BundleError(f"its access rules cannot be read ({error})") from None
 
 
 def read(path: Path) -> Mission:

@@ -142,6 +142,7 @@ class Greeting:
                 hello.registry,
                 "the same .capabilities.yaml file and the same version of lfield",
             ),
+            ("access rules", self.own.access, hello.access, "the same .access.yaml file"),
         )
         for what, ours, theirs, remedy in pairs:
             anything_goes = (not ours and self.own.role == "observer") or (
@@ -149,7 +150,7 @@ class Greeting:
             )
             if ours != theirs and not anything_goes:
                 self._refuse(
-                    f"{self.own.host} has {what} {ours.hex()[:12]} and {hello.host} has {what} "
+                    f"{self.own.host} has {what} {ours.hex()[:12] or '(none)'} and {hello.host} has {what} "
                     f"{theirs.hex()[:12] or '(none)'}; start both from {remedy}, or from one bundle"
                 )
 

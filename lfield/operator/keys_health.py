@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 from lfield.authority import folder as folders
@@ -17,6 +17,19 @@ SOON = 30 * 86400.0
 _HOLDERS: tuple[Holder, ...] = ("host", "person")
 
 
+def keys_here(environment: Mapping[str, str], at: float, system: Path = folders.SYSTEM) -> Iterator[Finding]:
+    """The same of all keys of this computer, as far as this user may look; a note where there are none."""
+    found = folders.folders_here(environment, system)
+    for folder in found:
+        yield from health(folder, at)
+    if not found:
+        yield Finding(
+            "note",
+            "there are no keys here: no host of this computer listens to others",
+            "'lfield keys init' on the operator's computer, or copy a key folder here",
+        )
+
+
 def health(folder: Path, at: float) -> Iterator[Finding]:
     """What is to be said of the keys in a folder, at this time in seconds since 1970 UTC."""
     holders = [holder for holder in _HOLDERS if (folder / certificate_name(holder)).exists()]
@@ -28,9 +41,8 @@ def health(folder: Path, at: float) -> Iterator[Finding]:
             yield _finding(folder, keys, at)
         except KeysError as error:
             # Of a file that cannot be used it names the path.
-            yield Finding(
-                "problem", f"keys {error}" if str(folder) in str(error) else f"keys {folder}: {error}"
-            )
+            place = "keys" if str(folder) in str(error) else f"keys {folder}:"
+            yield Finding("problem", f"{place} {error}")
 
 
 def _finding(folder: Path, keys: Keys, at: float) -> Finding:

@@ -17,6 +17,8 @@ from lfield.authority.identity import ALL, Right
 from lfield.authority.judge import Revoked
 from lfield.authority.keys import Holder, Keys
 from lfield.authority.making import new_authority
+from lfield.authority.signature import sign
+from lfield.mission.bundle import contents, read_file, with_signature
 
 #: Seconds that an authority of a test lasts, and what it makes.
 LASTS = 7 * 86400.0
@@ -48,6 +50,12 @@ class Keyring:
     def put(self, name: str, keys: Keys) -> None:
         """Keys into a folder in `folder`, in place of those that are there."""
         folders.write(self.folder / name, keys)
+
+    def sign(self, bundle: Path) -> None:
+        """Sign a bundle in its place, as this user: hosts with keys take no other."""
+        self.give()
+        data, keys = read_file(bundle), folders.read(self.folder / folders.ME, "person")
+        bundle.write_bytes(with_signature(data, sign(contents(data).digest, keys, time.time())))
 
     def listed(self, number: int, *serials: str, at: float | None = None) -> bytes:
         """The revocation list of that number, with these certificates on it; made now, or then."""

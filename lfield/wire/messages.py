@@ -55,14 +55,15 @@ class Hello(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
 
     `incarnation` is a random 63-bit number drawn at process start: the same host after a restart has
     another. `memory` is the identity of its journal, which outlives restarts; 0 for a host that keeps none.
-    `program`, `deployment` and `registry` are 32-byte hashes of what all hosts of a team must have alike; an
-    observer (`lfield ps`) may leave them empty, and a program that names no capability has no registry.
+    `program`, `deployment`, `registry` and `access` are 32-byte hashes of what all hosts of a team must have
+    alike; an observer (`lfield ps`) may leave them empty, a program that names no capability has no registry,
+    and a mission without an access file no rules.
     `devices` says what those of its team are, '' where it has none.
     `max_block` is the largest block this host takes, in bytes. `recovery` says in words who decides that a
     coordinator is lost; '' where none is recovered. `origin` says in words where on the Earth its team counts
-    places from; '' where nowhere. `reservation` is how long one lasts unheard, in seconds. `time` is what the
-    sender believes it is, in seconds since 1970 UTC, and `revoked` the number of its revocation list; both 0
-    where nobody has keys.
+    places from; '' where nowhere. `reservation` is how long one lasts unheard, in seconds. `time` is what it
+    is as far as the sender knows without the others, in seconds since 1970 UTC, and `revoked` the number of
+    its revocation list; both 0 where nobody has keys.
     """
 
     role: Role
@@ -73,6 +74,7 @@ class Hello(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
     max_block: Count = 0
     coordinators: Annotated[list[Known], Meta(max_length=4096)] = []
     registry: Hash = b""
+    access: Hash = b""
     devices: Literal["", "fakes", "hardware"] = ""
     memory: Count = 0
     recovery: Text = ""

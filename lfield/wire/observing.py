@@ -10,7 +10,19 @@ from typing import Annotated, Literal
 from msgspec import Meta, Struct
 
 from lfield.wire.coordinators import CopyState, Known
-from lfield.wire.fields import Age, Count, FactValue, Hash, Label, MaybeName, Name, Telemetry, Text, ToldBy
+from lfield.wire.fields import (
+    Age,
+    Count,
+    FactValue,
+    Hash,
+    Label,
+    MaybeName,
+    Moment,
+    Name,
+    Telemetry,
+    Text,
+    ToldBy,
+)
 
 
 class StatusRequest(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=6):
@@ -120,6 +132,14 @@ class JournalStatus(Struct, frozen=True, array_like=True, forbid_unknown_fields=
     parked: Annotated[list[ParkedStatus], Meta(max_length=4096)]
 
 
+class BundleStatus(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
+    """The bundle that a host runs: its digest, who has signed it ('' where nobody had to), and when."""
+
+    digest: Hash
+    by: Text = ""
+    at: Moment = 0.0
+
+
 class Status(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=7):
     """The answer: a host that has been `up` for so many seconds, its agents, devices and links.
 
@@ -128,7 +148,8 @@ class Status(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, t
     `silence` for how many it may give none; both None without devices. `journal` is None for a host that
     keeps nothing. `paused`: no agent runs here until the mission is resumed. For so many seconds yet its
     `lease` lets coordinators act, None where they need none. `begun` are the calls that were begun here and
-    are still to be fetched, `reserved` the resources here that coordinators have reserved.
+    are still to be fetched, `reserved` the resources here that coordinators have reserved. `bundle` is None
+    for a mission that was read from files.
     """
 
     host: Name
@@ -148,6 +169,7 @@ class Status(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, t
     paused: bool = False
     begun: Annotated[list[BegunStatus], Meta(max_length=4096)] = []
     reserved: Annotated[list[ReservedStatus], Meta(max_length=4096)] = []
+    bundle: BundleStatus | None = None
 
 
 class EmergencyStop(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=10):

@@ -47,7 +47,6 @@ SMALL = {
     "lfield/simulate/judging/devices.py": "what the fake hardware saw",
     "lfield/simulate/judging/saved.py": "what is asked of simulated journals",
     "lfield/simulate/time.py": "the jumping clock",
-    "lfield/testing/keys.py": "keys of hosts that a test starts",
     "lfield/testing/offers.py": "a team for golden programs",
     "lfield/testing/reports.py": "the guard's end of a driver, for tests",
     "lfield/text/findings.py": "the table class of all findings",

@@ -123,8 +123,7 @@ def _show_mission(file: Path) -> int:
         data = bundle.encode(mission)
     found = bundle.contents(data)
     print(f"bundle    {found.digest.hex()[:16]} of {mission.name}")
-    if file.suffix == bundle.SUFFIX:
-        print(f"signed    {_signed(found)}")
+    print(f"signed    {_signed(found)}")
     for part in found.table:
         print(f"          {part.name:<9}{part.size:>9} bytes  {part.digest.hex()[:16]}")
     for number, host in enumerate(mission.team.hosts):
@@ -136,6 +135,10 @@ def _show_mission(file: Path) -> int:
                 print(f"    {device.field} = {device.type} by {device.driver} at {device.endpoint}")
     if mission.fenced:
         print(f"\nrecovery of {listed(sorted(mission.fenced))} by {mission.recovery}")
+    if mission.access.file:
+        whom = [person.name for person in mission.access.people]
+        whom += [caller.name for caller in mission.access.callers]
+        print(f"\n{mission.access.file} says what they may do: {listed(dict.fromkeys(whom))}")
     for name, driver in mission.drivers.by_driver.items():
         print(f"\ndriver {name} of {driver.to_install}")
     return 0

@@ -32,6 +32,12 @@ def run(args: argparse.Namespace) -> int:
 
     if args.file.suffix != bundle.SUFFIX:
         raise UsageError(f"{args.file} is no bundle: 'lfield build' makes one of a deployment")
+    data = bundle.read_file(args.file)
+    try:
+        # Nobody signs what no host would read.
+        bundle.decode(data)
+    except BundleError as error:
+        raise error.of(args.file) from None
     folder = find("person", ME, args.keys, os.environ)
     if folder is None:
         raise KeysError(
@@ -39,12 +45,6 @@ def run(args: argparse.Namespace) -> int:
             "names their folder"
         )
     keys = read(folder, "person")
-    data = bundle.read_file(args.file)
-    try:
-        # Nobody signs what no host would read.
-        bundle.decode(data)
-    except BundleError as error:
-        raise error.of(args.file) from None
     digest = bundle.contents(data).digest
     signature = sign(digest, keys, time.time())
     write_bytes(args.file, bundle.with_signature(data, signature))

@@ -5,13 +5,17 @@ from __future__ import annotations
 import argparse
 import os
 from contextlib import suppress
-from typing import TYPE_CHECKING
+from dataclasses import replace
+from typing import TYPE_CHECKING, NamedTuple
+
+from lfield.authority.keys import Keys
+from lfield.mission.access.release import Release
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
-    from lfield.authority.keys import Keys
     from lfield.host.process.proving import Proof
+    from lfield.mission.mission import Mission
 
 
 def proof_of(host: str, args: argparse.Namespace) -> Proof | None:
@@ -21,13 +25,41 @@ def proof_of(host: str, args: argparse.Namespace) -> Proof | None:
     from lfield.text.private import state_folder
 
     if args.keys_fd is not None:
-        return Proof(_inherited(args.keys_fd))
+        given = _inherited(args.keys_fd)
+        return Proof(given.keys, vouched=given.bundle)
     found = folder.find("host", host, args.keys, os.environ)
     if found is None:
         return None
     # A service may read its keys, and write what it has to keep elsewhere.
     kept = state_folder() / "keys" / folder.inside_name(host)
     return Proof(folder.read(found, "host"), (found, kept), args.lasts)
+
+
+def signed_here(mission: Mission, args: argparse.Namespace) -> Mission:
+    """A mission that was built just now of files: by having it run, whoever may sign bundles has signed it.
+
+    Without such keys it stays as it is, and a host says what is missing. Raises KeysError for keys that
+    cannot be used.
+    """
+    import time
+
+    from lfield.authority import folder
+    from lfield.authority.signature import sign
+    from lfield.errors import KeysError
+
+    try:
+        found = folder.find("person", folder.ME, args.keys, os.environ)
+    except KeysError:
+        # What is named has the keys of the host alone.
+        return mission
+    if found is None:
+        return mission
+    keys = folder.read(found, "person")
+    try:
+        signature = sign(mission.release.digest, keys, time.time())
+    except KeysError:
+        return mission
+    return replace(mission, release=replace(mission.release, signature=signature))
 
 
 def keys_for_asking(host: str, args: argparse.Namespace) -> Keys | None:
@@ -46,10 +78,18 @@ def keys_for_asking(host: str, args: argparse.Namespace) -> Keys | None:
     return proof.keys if proof is not None else None
 
 
-def minted(hosts: Iterable[str]) -> Mapping[str, int]:
+class _Given(NamedTuple):
+    """What a host is given that was started with all others: its keys, and the bundle that is to run."""
+
+    keys: Keys
+    bundle: Release
+
+
+def minted(hosts: Iterable[str], bundle: Release) -> Mapping[str, int]:
     """New keys for each of these hosts, known to nobody else: descriptors that a process can inherit.
 
-    They are in memory only, and gone with the processes of the run.
+    They are in memory only, and gone with the processes of the run. Whoever has such keys was started by this
+    user to run this bundle: that is in the descriptor too, and says as much as a signature.
     """
     import time
 
@@ -58,14 +98,14 @@ def minted(hosts: Iterable[str]) -> Mapping[str, int]:
     from lfield.authority.minted import Minted
     from lfield.net.tls import piped
 
-    made = Minted.for_hosts(hosts, time.time())
-    return {host: piped(msgspec.msgpack.encode(keys)) for host, keys in made.hosts.items()}
+    now = time.time()
+    made = Minted.for_hosts(hosts, now)
+    bundle = Release(bundle.digest, by="whoever started it", at=now)
+    return {host: piped(msgspec.msgpack.encode(_Given(keys, bundle))) for host, keys in made.hosts.items()}
 
 
-def _inherited(descriptor: int) -> Keys:
+def _inherited(descriptor: int) -> _Given:
     import msgspec
 
-    from lfield.authority.keys import Keys
-
     with open(descriptor, "rb") as file:
-        return msgspec.msgpack.decode(file.read(), type=Keys)
+        return msgspec.msgpack.decode(file.read(), type=_Given)

@@ -139,18 +139,18 @@ def _run_built(path: Path, args: argparse.Namespace) -> int:
 
     try:
         with prepared(Order(path, args.program, args.devices, simulate=args.sim)) as file:
-            return _run(file, args, warn=not args.leash)
+            return _run(file, args, built=True)
     except NotBuilt as error:
         return error.status
 
 
-def _run(file: Path, args: argparse.Namespace, *, warn: bool = False) -> int:
+def _run(file: Path, args: argparse.Namespace, *, built: bool = False) -> int:
     from lfield.mission import bundle
     from lfield.mission.team import parse_maps
 
     mission = bundle.read(file)
     team = mission.team.at(parse_maps(args.map, mission.team))
-    told = () if warn else mission.warnings
+    told = () if built else mission.warnings
     mission = (mission.on_fakes() if args.sim else mission).at(team)
     if not args.leash:
         for warning in mission.warnings[len(told) :]:
@@ -167,7 +167,7 @@ def _run(file: Path, args: argparse.Namespace, *, warn: bool = False) -> int:
         from lfield.cli.run.up_all import run_all
 
         return run_all(mission, file, args)
-    return _run_one(mission, args)
+    return _run_one(mission, args, built=built)
 
 
 def _look_at_dumps(folder: Path) -> None:
@@ -178,9 +178,9 @@ def _look_at_dumps(folder: Path) -> None:
         raise OutputFileError(str(folder), "nothing may be written there")
 
 
-def _run_one(mission: Mission, args: argparse.Namespace) -> int:
+def _run_one(mission: Mission, args: argparse.Namespace, *, built: bool) -> int:
     from lfield import loop
-    from lfield.cli.run.own_keys import proof_of
+    from lfield.cli.run.own_keys import proof_of, signed_here
     from lfield.host.process.run import run_host
     from lfield.net.local import own_host
 
@@ -188,6 +188,7 @@ def _run_one(mission: Mission, args: argparse.Namespace) -> int:
     proof = proof_of(name, args)
     if proof is not None:
         _look_at_port(mission, name, args)
+        mission = signed_here(mission, args) if built else mission
     if not _ready(mission, name, args):
         return exits.FAILED
     with (

@@ -75,7 +75,7 @@ class _Team:
     ) -> None:
         self.mission, self.file, self.args, self.doors = mission, file, args, doors
         self.reserved, self.addresses = reserved, addresses
-        self.keys = minted(addresses)
+        self.keys = minted(addresses, mission.release)
         self.children: dict[str, Process] = {}
         self.pipes: list[asyncio.ReadTransport] = []
         self.width = max(len(host) for host in addresses)

@@ -13,13 +13,14 @@ from rich.table import Table
 
 from lfield.cli.views.trees import plain_console
 from lfield.errors import LfieldError
+from lfield.mission.access.release import Release
 from lfield.operator.ask import Answers
 from lfield.operator.descent import SILENT
 from lfield.operator.whereabouts import what_can_be_done
 from lfield.text.values import telemetry_in_words
 from lfield.text.visible import in_one_line
 from lfield.wire.coordinators import Known
-from lfield.wire.observing import DeviceStatus, JournalStatus, ParkedStatus, Status, Told
+from lfield.wire.observing import BundleStatus, DeviceStatus, JournalStatus, ParkedStatus, Status, Told
 
 
 def show(answers: Answers[Status]) -> None:
@@ -31,11 +32,21 @@ def picture(answers: Answers[Status]) -> Group:
     """The agents of all hosts with the coordinators that have ended or are in doubt, what can be done about
     those that nobody has, then the devices.
 
-    Last are the hosts: how late each was, how long it may be silent, and what it keeps.
+    Last are the hosts: how late each was, how long it may be silent, what it keeps, and which bundle it runs.
     """
     further = [table for table in (_devices(answers), _hosts(answers)) if table.row_count]
     hints = map(in_one_line, [*_paused(answers), *what_can_be_done(answers)])
-    return Group(_agents(answers), *hints, *(part for table in further for part in ("", table)))
+    bundles = ["", *map(in_one_line, _bundles(answers))] if _bundles(answers) else []
+    return Group(_agents(answers), *hints, *(part for table in further for part in ("", table)), *bundles)
+
+
+def _bundles(answers: Answers[Status]) -> list[str]:
+    """Which bundles run, and where: one, unless somebody has forgotten a host."""
+    found: dict[str, list[str]] = {}
+    for host, told in answers.items():
+        if not isinstance(told, LfieldError) and (run := told.bundle) is not None:
+            found.setdefault(str(Release(run.digest, by=run.by, at=run.at)), []).append(host)
+    return [f"bundle {release}: {', '.join(hosts)}" for release, hosts in found.items()]
 
 
 def _paused(answers: Answers[Status]) -> list[str]:
@@ -180,6 +191,7 @@ def _status(status: Status) -> dict[str, Any]:
         "up": status.up,
         "program": status.program.hex()[:16],
         "deployment": status.deployment.hex()[:16],
+        "bundle": _bundle(status.bundle),
         "agents": [asdict(agent) for agent in status.agents],
         "coordinators": [_coordinator(known) for known in status.coordinators],
         "linked": [link.host for link in status.links if link.away is None],
@@ -197,6 +209,10 @@ def _status(status: Status) -> dict[str, Any]:
         "moving": {device.name: device.moving for device in status.devices if device.moving},
         "directory": _directory(status.directory),
     }
+
+
+def _bundle(run: BundleStatus | None) -> dict[str, Any] | None:
+    return None if run is None else {"digest": run.digest.hex()[:12], "signed_by": run.by, "signed": run.at}
 
 
 _PARKED = ("generation", "hops", "state", "where")

@@ -14,14 +14,17 @@ from functools import partial
 from pathlib import Path
 
 from lfield.authority import folder
-from lfield.authority.admission import Admission, Judged
+from lfield.authority.admission import Judged
 from lfield.authority.believed import BelievedTime
 from lfield.authority.identity import Identity
 from lfield.authority.judge import NOBODY, Revoked, when
 from lfield.authority.keys import Keys
 from lfield.clock import Clock
 from lfield.errors import KeysError, OutputFileError, UsageError
+from lfield.journal.pages import BundlePage, Page
 from lfield.loop import spawn
+from lfield.mission.access.release import FROM_FILES, Release, Taken, taken
+from lfield.mission.mission import Mission
 from lfield.net.tls import Tls
 
 
@@ -29,12 +32,14 @@ from lfield.net.tls import Tls
 class Proof:
     """The keys of a host. In the first of these `folders` that lets it, a newer revocation list is kept.
 
-    For so many seconds the mission `lasts`: keys that end before that are refused.
+    For so many seconds the mission `lasts`: keys that end before that are refused. Whoever made the keys for
+    this run alone vouches for the bundle `vouched`: its signature is not asked for.
     """
 
     keys: Keys
     folders: Sequence[Path] = ()
     lasts: float = 0.0
+    vouched: Release = FROM_FILES
 
 
 def insist_on_keys(host: str, hosts: Sequence[str]) -> None:
@@ -47,7 +52,7 @@ def insist_on_keys(host: str, hosts: Sequence[str]) -> None:
         )
 
 
-def admitted(proof: Proof, host: str, clock: Clock, times: Collection[float]) -> tuple[Tls, Admission]:
+def admitted(proof: Proof, host: str, clock: Clock, times: Collection[float]) -> tuple[Tls, Judged]:
     """What carries the links of a host, and who may have one.
 
     `times` are those of its journal: it was so late already. One after the end of its keys is of a clock that
@@ -67,6 +72,24 @@ def admitted(proof: Proof, host: str, clock: Clock, times: Collection[float]) ->
     _insist_on_good(own, revoked, time.now(), proof.lasts)
     admission.keep = partial(_keep_aside, proof.folders)
     return tls, admission
+
+
+def insist_on_signature(mission: Mission, proof: Proof, admission: Judged, kept: Collection[Page]) -> Taken:
+    """The bundle of a mission with who has signed it, if this host takes it; `kept` is what its journal has.
+
+    Raises SignatureError.
+    """
+    release = mission.release
+    if release.digest and release.digest == proof.vouched.digest:
+        return Taken(proof.vouched, "")
+    return taken(
+        release,
+        proof.keys.authority,
+        admission.own.authority,
+        at=admission.time.now(),
+        revoked=admission.revoked,
+        runs=BundlePage(release.digest) in kept,
+    )
 
 
 def _insist_on_good(own: Identity, revoked: Revoked, now: float, lasts: float) -> None:

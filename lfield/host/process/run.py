@@ -7,6 +7,7 @@ import gc
 import signal
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import NoReturn
@@ -18,7 +19,7 @@ from lfield.driver.binding import longest_rest
 from lfield.host.host import Host, Options
 from lfield.host.logbook import Logbook
 from lfield.host.process.leash import Leash
-from lfield.host.process.proving import Proof, admitted, insist_on_keys
+from lfield.host.process.proving import Proof, admitted, insist_on_keys, insist_on_signature
 from lfield.host.process.stop_words import StopWords, hear_signals
 from lfield.host.process.until_done import until_done
 from lfield.journal.journal import Journal
@@ -56,13 +57,17 @@ async def run_host(
 
     Raises AddressError, DevicesError and KeysError when it cannot start.
     """
-    clock = SystemClock()
+    clock, logbook = SystemClock(), Logbook()
+    address, tls, admission = "", None, Admission()
     if proof is None:
         insist_on_keys(name, mission.team.hosts)
-        address, tls, admission = "", None, Admission()
     else:
         address = listen or mission.team.addresses[mission.team.number(name)]
         tls, admission = admitted(proof, name, clock, journal.times.values() if journal else ())
+        release, doubt = insist_on_signature(mission, proof, admission, journal.pages() if journal else ())
+        mission = replace(mission, release=release)
+        if doubt:
+            logbook.note(f"this host goes on with bundle {release.short}, though {doubt}")
     bound = unreachable_after or mission.bindings.unreachable_after
     host_options = Options(
         address,
@@ -75,7 +80,6 @@ async def run_host(
         engine=engine or mission.bindings.engine,
         admission=admission,
     )
-    logbook = Logbook()
     host = Host(mission, name, TcpTransport(mission.max_block, tls), logbook, host_options)
     host.on_failure = _end_by_force_after(mission)
     words = StopWords(host.clock)
