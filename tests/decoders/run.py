@@ -145,6 +145,7 @@ def hunt(name: str, words: list[str]) -> int:
     from decoder_targets import TARGETS
 
     good = set(TARGETS[name].good)
+    FOUND.mkdir(exist_ok=True)
     with tempfile.TemporaryDirectory(prefix=f"lfield-{name}-") as folder:
         for data in {*good, *corpus_of(name)}:
             (Path(folder) / hashlib.sha256(data).hexdigest()).write_bytes(data)

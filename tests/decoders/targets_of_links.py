@@ -161,6 +161,7 @@ def take_events(data: bytes) -> None:
     clock = ManualClock()
     core = host("alpha", clock, 7)
     core.start_coordinators(first=True)
+    core.linked(greeting("bravo"))
     for event in events[:60] if isinstance(events, list) else ():
         happen(core, clock, event)
         for _ in range(8):
@@ -322,9 +323,9 @@ def _event_seeds() -> Sequence[bytes]:
     arrival = [2, [unpack(pack(header)), block]]
     known = unpack(pack(_example(Known)))
     told = [[1, message] for message in messages()]
-    quiet = [pack([hello, event, [4, 0.5], event]) for event in told]
-    busy = [pack([hello, arrival, event, [4, 11.0], arrival]) for event in told]
-    people = [pack([hello, [7, message], [4, 1.0]]) for message in messages()]
+    quiet = [pack([event]) for event in told] + [pack([event, [4, 0.5], event]) for event in told]
+    busy = [pack([arrival, event, [4, 11.0], hello]) for event in told]
+    people = [pack([[7, message], [4, 1.0]]) for message in messages()]
     rest = pack([hello, [5, [known]], [6, arrival[1][0]], [3, 0], [4, 30.0], hello])
     return [*quiet, *busy, *people, rest, pack([hello, *told])]
 
