@@ -15,7 +15,19 @@ from typing import Annotated, Literal
 from msgspec import Meta, Struct
 
 from lfield.wire.coordinators import Accepted, Ended, EndedAck, Inquire, Known, Refused
-from lfield.wire.fields import Age, Count, FactValue, Hash, Index, Label, MaybeName, Name, Text, ToldBy
+from lfield.wire.fields import (
+    Age,
+    Count,
+    FactValue,
+    Hash,
+    Index,
+    Label,
+    MaybeName,
+    Name,
+    Ordinal,
+    Text,
+    ToldBy,
+)
 from lfield.wire.observing import (
     EmergencyStop,
     EmergencyStopped,
@@ -137,8 +149,8 @@ class Report(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, t
     """
 
     life: Count
-    since: Count
-    sequence: Count
+    since: Ordinal
+    sequence: Ordinal
     agents: Annotated[list[AgentReport], Meta(max_length=4096)]
 
 
@@ -147,7 +159,7 @@ class SignOfLife(Struct, frozen=True, array_like=True, forbid_unknown_fields=Tru
 
     host: Index
     incarnation: Count
-    count: Count
+    count: Ordinal
 
 
 class Heard(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=13):

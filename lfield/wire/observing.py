@@ -10,7 +10,19 @@ from typing import Annotated, Literal
 from msgspec import Meta, Struct
 
 from lfield.wire.coordinators import CopyState, Known
-from lfield.wire.fields import Age, Count, FactValue, Hash, Label, MaybeName, Name, Telemetry, Text, ToldBy
+from lfield.wire.fields import (
+    Age,
+    Count,
+    FactValue,
+    Hash,
+    Label,
+    MaybeName,
+    Name,
+    Ordinal,
+    Telemetry,
+    Text,
+    ToldBy,
+)
 
 
 class StatusRequest(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=6):
@@ -24,7 +36,7 @@ class AgentStatus(Struct, frozen=True, array_like=True, forbid_unknown_fields=Tr
     type: Text
     kind: Literal["coordinator", "resource"]
     state: Label
-    hops: Count
+    hops: Ordinal
     served: Count
     heap: Count
     limit: Count
@@ -81,8 +93,8 @@ class ParkedStatus(Struct, frozen=True, array_like=True, forbid_unknown_fields=T
     """
 
     agent: Name
-    generation: Count
-    hops: Count
+    generation: Ordinal
+    hops: Ordinal
     program: Hash
     state: CopyState
     where: MaybeName
@@ -92,7 +104,7 @@ class BegunStatus(Struct, frozen=True, array_like=True, forbid_unknown_fields=Tr
     """A portal call that a coordinator has begun here and fetches later: it runs, has ended, or is lost."""
 
     agent: Name
-    generation: Count
+    generation: Ordinal
     resource: Name
     portal: Text
     state: Literal["running", "done", "thrown", "lost"]
@@ -104,7 +116,7 @@ class ReservedStatus(Struct, frozen=True, array_like=True, forbid_unknown_fields
 
     resource: Name
     agent: Name
-    generation: Count
+    generation: Ordinal
     held: Age
     left: Age
 
@@ -191,15 +203,15 @@ class Recover(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, 
     """
 
     agent: Name
-    generation: Count
-    sequence: Count
-    above: Count
+    generation: Ordinal
+    sequence: Ordinal
+    above: Ordinal
 
 
 class Recovered(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=18):
     """The answer: as which start it goes on, once that is kept; 0 when it does not, with the reason."""
 
-    generation: Count
+    generation: Ordinal
     reason: Text = ""
 
 

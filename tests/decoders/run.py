@@ -28,8 +28,8 @@ FOUND = HERE / "found"
 ROOM = 512 << 20
 #: Different crashes of one target that are told before it is left alone.
 MOST = 20
-#: Inputs that are kept of one decoder, the shortest.
-KEPT = 400
+#: Inputs that are kept of one decoder because they reach more: the shortest.
+KEPT = 100
 
 
 def main() -> int:
@@ -44,9 +44,10 @@ def main() -> int:
     parser.add_argument("--inside", default="", help=argparse.SUPPRESS)
     parser.add_argument("--folder", default="", help=argparse.SUPPRESS)
     parser.add_argument("--again", default="", help="decode one file: tests/decoders/found/NAME-...")
+    parser.add_argument("--keep", action="store_true", help="with --again: keep it in the corpus")
     options = parser.parse_args()
     if options.again:
-        again(Path(options.again))
+        again(Path(options.again), kept=options.keep)
         return 0
     if options.folder:
         guided(options.inside, options.count, options.seed, options.folder)
@@ -124,13 +125,16 @@ def tell(name: str, data: bytes, error: BaseException, crashes: set[str]) -> Non
     print(f"CRASH {name}: {kind}: {error}\n    python tests/decoders/run.py --again {path}", flush=True)
 
 
-def again(path: Path) -> None:
+def again(path: Path, *, kept: bool) -> None:
     """Decode the input of a file, with the traceback that comes of it."""
     from decoder_target import bounded
     from decoder_targets import TARGETS
 
+    name, data = path.name.rpartition("-")[0], path.read_bytes()
+    if kept:
+        keep(name, [*corpus_of(name), data])
     with bounded():
-        TARGETS[path.name.rpartition("-")[0] or path.parent.name].take(path.read_bytes())
+        TARGETS[name].take(data)
     print("it is refused, or taken, as it should be")
 
 
@@ -151,8 +155,10 @@ def hunt(name: str, words: list[str]) -> int:
             (Path(folder) / hashlib.sha256(data).hexdigest()).write_bytes(data)
         before = set(FOUND.glob(f"{name}-*"))
         subprocess.run([sys.executable, __file__, *words, "--guided", "--folder", folder], check=True)
-        reached = {path.read_bytes() for path in Path(folder).iterdir()} - good
-    keep(name, sorted(reached, key=len)[:KEPT])
+        old = corpus_of(name)
+        reached = {path.read_bytes() for path in Path(folder).iterdir()} - good - set(old)
+    # What is there stays: also what once crashed it (--keep).
+    keep(name, [*old, *sorted(reached, key=len)[: max(0, KEPT - len(old))]])
     return 1 if set(FOUND.glob(f"{name}-*")) - before else 0
 
 
