@@ -2,12 +2,14 @@
 
     LfieldError
     ├── UsageError                the command line was wrong                                  64
-    ├── ProgramError              an L program or a deployment has errors (diagnostics)       65
+    ├── ProgramError              an L program, deployment or access file has errors         65
     ├── BindingError              a devices file is wrong, or a device is missing             65
     │   └── DevicesError          devices that cannot be opened: no library, port or answer   69
     ├── ConstraintError           a condition over attributes that cannot be judged           65
     ├── ProgramFileError          not a program file, or one the verifier refused             65
     ├── BundleError               not a bundle, or one of another version                     65
+    ├── KeysError                 keys, a certificate or a list that cannot be used           65
+    │   └── SignatureError        a bundle that nobody has signed who may, or that was changed 65
     ├── BlockError                bytes that are not a sound block of this program            65
     ├── InputFileError            a file cannot be read                                       66
     ├── OutputFileError           a file cannot be written (full disk, no permission)         73
@@ -70,7 +72,7 @@ class UsageError(LfieldError):
 
 
 class ProgramError(LfieldError):
-    """An L program or a deployment file with errors: all of them, in source order."""
+    """An L program, a deployment, a registry or an access file with errors: all of them, in source order."""
 
     exit_status = exits.DATA
 
@@ -149,6 +151,16 @@ class BundleError(LfieldError):
     def of(self, file: object) -> BundleError:
         """The same, of a file."""
         return BundleError(self.reason, self.advice, file=str(file))
+
+
+class KeysError(LfieldError):
+    """A key, a certificate or a revocation list that cannot be used; the message says what to do."""
+
+    exit_status = exits.DATA
+
+
+class SignatureError(KeysError):
+    """A bundle without a signature, or with one that does not fit it, or of somebody who may not sign."""
 
 
 class BlockError(LfieldError):

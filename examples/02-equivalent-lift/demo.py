@@ -27,6 +27,7 @@ from pathlib import Path
 
 from lfield import exits
 from lfield.cli.main import main as lfield
+from lfield.testing.keys import Keyring
 
 MISSION = Path(__file__).with_name("mission.dL")
 HOSTS = ("yard", "air", "bench", "tool")
@@ -67,6 +68,8 @@ class Team:
     def __init__(self, mission: Path) -> None:
         self._mission = mission
         self._maps = [f"--map={host}=127.0.0.1:{free_port()}" for host in (*HOSTS, CART)]
+        # As on several computers, each host proves who it is: `lfield keys` makes these in the field.
+        self._keys = "--keys", str(Keyring(mission.parent / "keys").give(*HOSTS, CART))
         self._hosts: dict[str, Host] = {}
         self._said, self._shown = threading.Condition(), sys.stdout
         #: What the foreman has said.
@@ -90,7 +93,7 @@ class Team:
         """Start a host, with the fakes of its devices."""
         # Nobody waits for the cart's host, which is to come, and nothing is kept beyond the run.
         options = ("--sim", "--volatile", "--first-start", "--until-done", "--lost-after", "900")
-        words = ("up", str(self._mission), "--host", host, *options, *self._maps)
+        words = ("up", str(self._mission), "--host", host, *options, *self._maps, *self._keys)
         command = [sys.executable, "-m", "lfield", *words]
         process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
         reader = threading.Thread(target=self._read, args=(host, process), daemon=True)
@@ -122,7 +125,7 @@ class Team:
         question = ("query", "Lift where payload >= 0.2", "--deploy", str(self._mission), "--at", "yard")
         said = io.StringIO()
         with contextlib.redirect_stdout(said), contextlib.redirect_stderr(io.StringIO()):
-            status = lfield([*question, "--json", *self._maps])
+            status = lfield([*question, "--json", *self._maps, *self._keys])
         if status not in (exits.DONE, exits.FAILED):
             return None
         answer = json.loads(said.getvalue())

@@ -13,6 +13,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
+from lfield.testing.keys import Keyring
+
 #: Seconds within which a word of the mission must come.
 PATIENCE = 60.0
 #: What is shown of all that hosts say.
@@ -40,6 +42,8 @@ class Team:
         self._ports = {host: free_port() for host in hosts}
         self._fakes: list[subprocess.Popen[str]] = []
         self._hosts: dict[str, subprocess.Popen[str]] = {}
+        # As on several computers, each host proves who it is: `lfield keys` makes these in the field.
+        self._keys = "--keys", str(Keyring(folder / "keys" / policy).give(*hosts))
         self.lines: list[Line] = []
         self._said = threading.Condition()
 
@@ -62,7 +66,7 @@ class Team:
     def start(self, host: str) -> None:
         """Start a host, as systemd does; what it has kept is in the folder."""
         maps = [f"--map={name}=127.0.0.1:{port}" for name, port in self._ports.items()]
-        words = ("up", str(self._bundle), "--host", host, "--state", str(self._folder), *maps)
+        words = ("up", str(self._bundle), "--host", host, "--state", str(self._folder), *maps, *self._keys)
         process = self._hosts[host] = popen(*words)
         threading.Thread(target=self._read, args=(host, process), daemon=True).start()
 

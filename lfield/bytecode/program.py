@@ -46,6 +46,7 @@ BUILTIN_CLASSES = (
     "TimeLimitException",
     "ReservedException",
     "ReservationLostException",
+    "AccessException",
 )
 #: What a built-in class is a kind of, where that is not just `Exception`: who catches that takes both.
 BUILTIN_PARENTS = {"DeviceTimeoutException": "DeviceException"}

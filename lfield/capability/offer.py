@@ -53,7 +53,7 @@ class Candidate(Struct, frozen=True, gc=False):
     before; what its type and the primitive say is the registry's. `hops` is 0 when it is on this host, else
     1. `refusal` says why it cannot be called at all (`unreachable for 12 s`), '' when it can. `unknown` tells
     of single live attributes why there is no value (`fc has not reported battery`). `number` is its place in
-    the deployment.
+    the deployment. `barred` says by primitive why whoever asks may not call it for that.
     """
 
     agent: str
@@ -65,6 +65,7 @@ class Candidate(Struct, frozen=True, gc=False):
     unknown: Mapping[str, str] = {}
     number: int = 0
     stated: Mapping[str, Fact] = {}
+    barred: Mapping[str, str] = {}
 
     def fact(self, name: str) -> Fact | None:
         """What is known of an attribute, whatever its type says."""

@@ -28,6 +28,9 @@ def add_running_mission(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--map", metavar="NAME=ADDR:PORT", action="append", default=[], help="where a host is reached"
     )
+    parser.add_argument(
+        "--keys", metavar="DIR", type=Path, help="your keys, for hosts that are asked over a network"
+    )
 
 
 def mission_path(args: argparse.Namespace) -> Path:

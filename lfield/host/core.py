@@ -76,7 +76,7 @@ class HostCore:
     ) -> None:
         self.mission, self.team, self.name, self.incarnation = mission, mission.team, name, incarnation
         self.here = self.team.number(name)
-        self._clock, self._memory = clock, memory
+        self._clock, self._memory, self._reserves = clock, memory, mission.program.has_reserves
         self._effects: list[Effect] = []
         #: What the machine asks this host.
         self.world = HostWorld(self.team, self._out, self._reach)
@@ -91,6 +91,7 @@ class HostCore:
             mission.fenced,
             engines,
         )
+        machine.attached.rules = mission.calls
         own = self._hello([])
         self.coordinators = team = Coordinators(
             mission, own, machine, clock, self._out, unreachable_after, pages, times or {}
@@ -105,7 +106,6 @@ class HostCore:
             mission, own, team, leases, machine, clock, self._out, self.hearsay.is_linked, pages
         )
         self.directory.reserved = self.reserving.by
-        self._reserves = mission.program.has_reserves
         self._inits = Inits(machine.opening, self._say)
         self._policies = Policies(mission.devices_of(name))
         self._commands = Commands(machine, nearby, leases, self._policies, clock, self._out)
@@ -151,6 +151,7 @@ class HostCore:
             self.mission.max_block,
             coordinators,
             self.mission.registry.digest if self.mission.registry is not None else b"",
+            self.mission.access.digest,
             self.mission.world,
             self._memory,
             str(self.mission.recovery) if self.mission.fenced else "",

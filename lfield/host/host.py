@@ -20,6 +20,7 @@ from mmap import mmap
 from pathlib import Path
 from typing import Any
 
+from lfield.authority.admission import Admission
 from lfield.clock import Clock, SystemClock
 from lfield.devices.guards import Guards
 from lfield.devices.measuring import insist
@@ -64,7 +65,8 @@ class Options:
 
     `journal` keeps what this host has of coordinators; without one that is gone with its process, and all
     hosts are heard before any is started. `first_start`: somebody says that there was no start before.
-    `engine` is one of `lfield.vm.wasm.choice.CHOICES`. Times are in seconds.
+    `engine` is one of `lfield.vm.wasm.choice.CHOICES`. `admission` says who may have links with it. Times are
+    in seconds.
     """
 
     listen: str
@@ -76,6 +78,7 @@ class Options:
     journal: Journal | None = None
     first_start: bool = False
     engine: str = "reference"
+    admission: Admission = field(default_factory=Admission)
 
 
 class Host:
@@ -92,7 +95,9 @@ class Host:
         here = self.team.number(name)
         team, clock, dice = self.team, self.clock, options.dice
         neighbours = Neighbourhood(team.hosts, here, everybody=mission.registry is not None)
-        self.peers = Peers(self, transport, clock, dice, team.hosts, team.addresses, here, neighbours.near)
+        self.peers = Peers(
+            self, transport, clock, dice, team.hosts, team.addresses, here, neighbours.near, options.admission
+        )
         self.guards = Guards(
             mission.drivers, self.clock, self.note, silence=mission.bindings.silence, turned=self.turn
         )
@@ -135,6 +140,7 @@ class Host:
         # Of a host that has no memory left; until then it is address space only.
         self._reserve = mmap(-1, RESERVE)
         self._entered = self._stopped = False
+        options.admission.flies = self.flies
 
     @property
     def machine(self) -> Machine:
@@ -160,7 +166,10 @@ class Host:
         await insist(self.guards.lateness.limit, devices, self.clock)
         await self.guards.open(devices)
         await self._visitors.stay_paused()
-        self.note(f"{self.name} is up on {self.address}{'' if self.scribe.memory else ', and keeps nothing'}")
+        where = f"on {self.address}" if self.address else "for this computer alone"
+        self.note(f"{self.name} is up {where}{'' if self.scribe.memory else ', and keeps nothing'}")
+        if line := self.options.admission.line():
+            self.note(line)
         self.scribe.forget(self.core.coordinators.recovery.outdated)
         self.scribe.look()
         self._enter(partial(self.core.start_resources, first=self.options.first_start))
@@ -360,6 +369,16 @@ class Host:
             self._visitors.received(message, link)
         else:
             self._enter(partial(self.core.received, host, message))
+
+    def flies(self) -> bool:
+        """Whether something here is under way that must come to its end: a device in use, or a coordinator
+        anywhere that nobody has paused or stopped."""
+        latched, moving = self.guards.latched, self.guards.moving
+        in_use = (device for device in self.mission.devices_of(self.name) if not device.is_sensor)
+        if any(device.name not in latched or moving.get(device.name) for device in in_use):
+            return True
+        held = self.core.coordinators.paused or self.core.coordinators.stopped
+        return not held and any(known.state != "EXITED" for known in self.mobility.knowledge())
 
     def reaped(self, host: str) -> None:
         """Whoever started the hosts says that one has ended for good."""

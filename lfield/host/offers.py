@@ -16,6 +16,7 @@ from lfield.capability.model import ANYBODY, Registry, Value, Wish
 from lfield.capability.offer import Fact, Offer, Team
 from lfield.errors import ConstraintError
 from lfield.host.directory import TeamDirectory
+from lfield.mission.access.rules import Barred
 from lfield.mission.mission import Mission
 from lfield.vm.offers import Found, SearchGivenUp, ways
 
@@ -29,6 +30,8 @@ class Offers:
     def __init__(self, directory: TeamDirectory, mission: Mission) -> None:
         numbers = {member.id: member.number for member in mission.team.members}
         self._directory = directory
+        if mission.access.callers:
+            directory.directory.barred = Barred(mission.access, mission.team.members, directory.registry)
         self._answers = Answers(directory.registry, directory.directory, ways(mission.program), numbers)
 
     def offers(self, asker: str, capability: str, constraint: str | None) -> list[Found]:

@@ -10,6 +10,7 @@ from lfield.host.core import HostCore
 from lfield.journal.journal import Journal
 from lfield.journal.pages import CopyPage
 from lfield.manifest import DeviceValue
+from lfield.mission.access.release import Release
 from lfield.net.peers import Peers
 from lfield.vm.agent import Agent
 from lfield.vm.memory.layout import (
@@ -28,6 +29,7 @@ from lfield.wire.fields import MAX_LABEL, MAX_NUMBERS, Telemetry, age, clip
 from lfield.wire.observing import (
     AgentStatus,
     BegunStatus,
+    BundleStatus,
     DeviceStatus,
     JournalStatus,
     LinkStatus,
@@ -82,7 +84,12 @@ def status_of(
             ReservedStatus(held.resource, *held.holder, _since(now - held.since), _since(held.until - now))
             for held in core.reserving.held
         ],
+        bundle=_bundle(core.mission.release),
     )
+
+
+def _bundle(release: Release) -> BundleStatus | None:
+    return BundleStatus(release.digest, clip(release.by), release.at) if release.digest else None
 
 
 def _journal(journal: Journal, core: HostCore, now: float) -> JournalStatus:

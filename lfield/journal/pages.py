@@ -102,6 +102,12 @@ class Run(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=
     open: bool
 
 
+class BundlePage(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag="bundle"):
+    """The signed bundle that this host has begun, by its digest; b"" once that has ended in order."""
+
+    digest: Hash
+
+
 class Paused(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag="paused"):
     """Whether somebody has paused the mission on this host: no agent runs until it is resumed."""
 
@@ -135,7 +141,18 @@ class ProgramPage(Struct, frozen=True, array_like=True, forbid_unknown_fields=Tr
     hosts: tuple[str, ...] = ()
 
 
-Page = CopyPage | BegunPage | ReservationPage | Starts | Run | Paused | Stopped | Fence | ProgramPage
+Page = (
+    CopyPage
+    | BegunPage
+    | ReservationPage
+    | Starts
+    | Run
+    | BundlePage
+    | Paused
+    | Stopped
+    | Fence
+    | ProgramPage
+)
 
 _encode = msgspec.msgpack.Encoder().encode
 _decoder: msgspec.msgpack.Decoder[Page] = msgspec.msgpack.Decoder(Page)
@@ -162,6 +179,8 @@ def key_of(page: Page) -> Key:
             return Key("starts")
         case Run():
             return Key("run")
+        case BundlePage():
+            return Key("bundle")
         case Paused():
             return Key("paused")
         case Stopped():

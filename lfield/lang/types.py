@@ -68,6 +68,7 @@ BUILTIN_EXCEPTIONS = {
     "TimeLimitException": "Exception",
     "ReservedException": "Exception",
     "ReservationLostException": "Exception",
+    "AccessException": "Exception",
 }
 
 

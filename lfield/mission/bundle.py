@@ -1,15 +1,18 @@
 """A bundle: a mission in one file (`mission.lfm`), built on the desk, run by robots.
 
-    "LFMB"  u16 version  u16 0  u32 length of the table  32 bytes SHA-256 of the table  table  parts
+    "LFMB"  u16 version  u16 size of the signature  u32 length of the table  32 bytes SHA-256 of the table
+    table  parts  signature
 
 The table is msgpack: for each part its name, its size and the SHA-256 of its bytes, in the order in which
-they follow one another. So the digest in the header is one of all, and what a signature will sign.
+they follow one another. So the digest in the header is one of all, and what the signature signs
+(`authority/signature.py`); there need not be one.
 
     program   the core of the program; its digest is the program's identity
     team      types, ids, hosts and arguments of all agents; its digest is that of the deployment
     registry  what the team can do (registry_part.py); empty when the program names no capability
     bindings  limits, devices, and the addresses of hosts
     drivers   what is known of the drivers of these devices
+    access    who may do what (access/rules.py); empty when there is no access file
     texts     name, warnings, sources and line maps: what messages are made of
 
 The same mission is always the same bytes. Reading is safe for bytes from anywhere: nothing is executed, every
@@ -31,6 +34,8 @@ from lfield.bytecode.program import Debug, Program
 from lfield.capability.model import Registry
 from lfield.driver.known import KnownDriver, KnownDrivers
 from lfield.errors import BindingError, BundleError, InputFileError, ProgramFileError
+from lfield.mission.access.release import Release
+from lfield.mission.access.rules import Access, decode_access, encode_access
 from lfield.mission.bindings import Bindings, with_files
 from lfield.mission.bundle_check import check_bindings, check_rows
 from lfield.mission.mission import Mission, needed_devices
@@ -40,13 +45,13 @@ from lfield.text.files import read_head, reason
 #: What the name of a bundle ends in.
 SUFFIX = ".lfm"
 MAGIC = b"LFMB"
-VERSION = 1
+VERSION = 2
 #: A larger file is refused unread.
 MAX_SIZE = 64 << 20
 
 _HEADER = struct.Struct("<4sHHI32s")
 #: The parts in their order.
-PARTS = ("program", "team", "registry", "bindings", "drivers", "texts")
+PARTS = ("program", "team", "registry", "bindings", "drivers", "access", "texts")
 
 
 class Part(NamedTuple):
@@ -73,11 +78,15 @@ class Texts(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields=
 
 
 class Contents(NamedTuple):
-    """The parts of a bundle, checked against their digests, and the digest of all."""
+    """The parts of a bundle, checked against their digests, and the digest of all.
+
+    `signature` is as it came, and nobody has looked at it; empty where nobody has signed.
+    """
 
     digest: bytes
     table: tuple[Part, ...]
     parts: Mapping[str, memoryview]
+    signature: bytes
 
 
 _encoder = msgspec.msgpack.Encoder()
@@ -98,6 +107,7 @@ def encode(mission: Mission) -> bytes:
         b"" if mission.registry is None else encode_registry(mission.registry),
         _encoder.encode(Bound(mission.bindings, mission.team.reached)),
         _encoder.encode({name: driver.plain for name, driver in mission.drivers.by_driver.items()}),
+        encode_access(mission.access),
         _encoder.encode(Texts(mission.name, mission.warnings, mission.program.debug)),
     )
     rows = [Part(name, len(p), hashlib.sha256(p).digest()) for name, p in zip(PARTS, parts, strict=True)]
@@ -112,21 +122,29 @@ def contents(data: bytes) -> Contents:
         raise BundleError("it does not begin as a bundle does")
     if len(data) > MAX_SIZE:
         raise BundleError(f"it is larger than {MAX_SIZE >> 20} MiB")
-    _, version, reserved, length, digest = _HEADER.unpack_from(data)
+    _, version, size, length, digest = _HEADER.unpack_from(data)
     if version != VERSION:
         raise BundleError(
             f"it has format {version}, this lfield reads format {VERSION}",
             "install the version of lfield that built it, or build it again with this one",
         )
     rest = memoryview(data)[_HEADER.size :]
-    table, parts = rest[:length], rest[length:]
-    if reserved or hashlib.sha256(table).digest() != digest:
+    table, parts = rest[:length], rest[length : max(length, len(rest) - size)]
+    if hashlib.sha256(table).digest() != digest:
         raise BundleError("it is damaged or cut (the table of its parts is not the one it had)")
     try:
         rows = tuple(_table.decode(table))
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         raise BundleError(f"the table of its parts is malformed ({error})") from None
-    return Contents(digest, rows, _split(rows, parts))
+    return Contents(digest, rows, _split(rows, parts), bytes(rest[length + len(parts) :]))
+
+
+def with_signature(data: bytes, signature: bytes) -> bytes:
+    """The bundle with another signature in place of what it has; its digest stays. Raises BundleError."""
+    found = contents(data)
+    magic, version, _, length, digest = _HEADER.unpack_from(data)
+    header = _HEADER.pack(magic, version, len(signature), length, digest)
+    return b"".join((header, data[_HEADER.size : len(data) - len(found.signature)], signature))
 
 
 def _split(rows: tuple[Part, ...], data: memoryview) -> dict[str, memoryview]:
@@ -146,7 +164,8 @@ def _split(rows: tuple[Part, ...], data: memoryview) -> dict[str, memoryview]:
 
 def decode(data: bytes) -> Mission:
     """The mission in the bytes of a bundle, checked as a whole. Raises BundleError."""
-    parts = contents(data).parts
+    whole = contents(data)
+    parts, release = whole.parts, Release(whole.digest, whole.signature)
     texts: Texts = _decoded("texts", _texts, parts)
     try:
         program = encoding.decode_core(parts["program"], texts.debug)
@@ -156,8 +175,10 @@ def decode(data: bytes) -> Mission:
     team = _team(_decoded("team", _rows, parts), program, bound.addresses)
     drivers = KnownDrivers(_decoded("drivers", _drivers, parts))
     check_bindings(bound.bindings, needed_devices(program, team), drivers, team.hosts)
-    registry = _registry(parts["registry"], bound.bindings)
-    return _decided(Mission(texts.name, program, team, bound.bindings, drivers, registry, texts.warnings))
+    registry, access = _registry(parts["registry"], bound.bindings), _access(parts["access"])
+    return _decided(
+        Mission(texts.name, program, team, bound.bindings, drivers, registry, texts.warnings, access, release)
+    )
 
 
 def _decided(mission: Mission) -> Mission:
@@ -193,6 +214,13 @@ def _registry(data: memoryview, bindings: Bindings) -> Registry | None:
         return registry
     except (msgspec.DecodeError, RecursionError, ValueError) as error:
         raise BundleError(f"its registry cannot be read ({error})") from None
+
+
+def _access(data: memoryview) -> Access:
+    try:
+        return decode_access(data)
+    except (msgspec.DecodeError, RecursionError, ValueError) as error:
+        raise BundleError(f"its access rules cannot be read ({error})") from None
 
 
 def read(path: Path) -> Mission:

@@ -27,17 +27,19 @@ from lfield.errors import (
 )
 from lfield.lang.deployment import DeployedAgent, Deployment, read_deployment
 from lfield.mission import bundle
+from lfield.mission.access.access_file import read_access
+from lfield.mission.access.rules import UNWRITTEN, Access
 from lfield.mission.bindings import Bindings, chosen_fakes, undoubled
 from lfield.mission.bindings_file import read_bindings
 from lfield.mission.mission import Mission, makers_of, needed_devices
-from lfield.mission.team import parse_maps, team_of
+from lfield.mission.team import Team, parse_maps, team_of
 from lfield.text.files import look_at, read_head, reason
 from lfield.text.source import Diagnostic, Diagnostics, Remark
 from lfield.text.suggest import listed
 from lfield.vm.offers import ways
 
 #: Suffixes of the files of a mission that stand beside its deployment.
-DEVICES, CAPABILITIES = ".devices.yaml", ".capabilities.yaml"
+DEVICES, CAPABILITIES, ACCESS = ".devices.yaml", ".capabilities.yaml", ".access.yaml"
 
 
 @contextmanager
@@ -68,8 +70,8 @@ def load_mission(
     """Read, compile and check all files of a mission; raises ProgramError, BindingError and the like.
 
     The program is `NAME.L` beside `NAME.dL`, the devices `NAME.devices.yaml`, what the mission adds to the
-    registry `NAME.capabilities.yaml`, unless they are given. Agents that are `doubled` by a test have no
-    devices, and need neither bindings nor drivers.
+    registry `NAME.capabilities.yaml`, unless they are given. Who may do what is in `NAME.access.yaml`. Agents
+    that are `doubled` by a test have no devices, and need neither bindings nor drivers.
     """
     _check_deployment(deploy)
     plugins = discover()
@@ -93,11 +95,19 @@ def load_mission(
     drivers = makers_of(plugins, {device.type for device in bindings.all})
     registry = _settled(types.registry, loaded, plugins, hollow) if ways(loaded) else None
     chosen = chosen_fakes(bindings, undoubled(needed, doubled), plugins, team.types) if simulate else []
-    mission = _decided(Mission(deploy.stem, loaded, team, bindings, drivers, registry), deployment)
+    access = _access(deploy, team, loaded, types)
+    mission = Mission(deploy.stem, loaded, team, bindings, drivers, registry, access=access)
+    mission = _decided(mission, deployment)
     chosen += _stated_twice(mission)
     warnings += _doubts(deployment, mission)
     mission = replace(mission, warnings=(*(warning.render() for warning in warnings), *chosen))
     return mission.at(team.at(parse_maps(maps, team))) if maps else mission
+
+
+def _access(deploy: Path, team: Team, program: Program, types: RegistryTypes) -> Access:
+    """Who may do what, by the file beside a deployment."""
+    path = beside(deploy, ACCESS)
+    return UNWRITTEN if path is None else read_access(path, team.members, program, lambda: types.registry)
 
 
 def _stated_twice(mission: Mission) -> list[str]:
@@ -339,7 +349,10 @@ def mission_problems(deploy: Path) -> list[Finding]:
         loaded = compile_file(program)[0]
         deployment = read_deployment(deploy, loaded.units)
         team = team_of(deployment.rows, deployment.kinds, deployment.ports)
+        _access(deploy, team, loaded, _registry_types(beside(deploy, CAPABILITIES), deploy, discover()))
         mission = _decided(Mission(deploy.stem, loaded, team, bound, KnownDrivers({})), deployment)
+    except ProgramError as error:
+        return list(error.diagnostics)
     except BindingError as error:
         return [*error.findings, *(Remark(problem) for problem in error.problems[len(error.findings) :])]
     return [*found, *_doubts(deployment, mission)]

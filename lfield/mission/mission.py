@@ -14,6 +14,8 @@ from lfield.bytecode.program import Program
 from lfield.capability.model import Registry, Value
 from lfield.driver.binding import SIMULATED, DeviceBinding
 from lfield.driver.known import Drivers, KnownDrivers
+from lfield.mission.access.release import FROM_FILES, Release
+from lfield.mission.access.rules import UNWRITTEN, Access, Calls
 from lfield.mission.bindings import Bindings, Frames, Needed, Recovery, chosen_fakes, on_fakes
 from lfield.mission.team import Team
 
@@ -26,10 +28,11 @@ World = Literal["", "fakes", "hardware"]
 
 @dataclass(frozen=True, slots=True)
 class Mission:
-    """Program, team, bindings, and the `drivers` of its devices.
+    """Program, team, bindings, the `drivers` of its devices, and who may do what: `access`.
 
     The `registry` is None when the program names no capability; its live attributes are in their own units.
-    `warnings` are what the compiler had to say, drawn, and which fakes were chosen.
+    `warnings` are what the compiler had to say, drawn, and which fakes were chosen. `release` is the bundle
+    that it was read from.
     """
 
     name: str
@@ -39,6 +42,8 @@ class Mission:
     drivers: Drivers
     registry: Registry | None = None
     warnings: tuple[str, ...] = ()
+    access: Access = UNWRITTEN
+    release: Release = FROM_FILES
 
     @property
     def stated(self) -> Registry | None:
@@ -54,6 +59,13 @@ class Mission:
     def needed(self) -> Needed:
         """For each agent its device fields and their device types."""
         return needed_devices(self.program, self.team)
+
+    @property
+    def calls(self) -> Calls | None:
+        """What its rules say of portal calls; None where every coordinator may call everything."""
+        if not self.access.callers:
+            return None
+        return Calls(self.access, self.team.members, [m.name for m in self.program.core.methods])
 
     def devices_of(self, host: str) -> list[DeviceBinding]:
         """The devices of the agents that the deployment puts on a host."""

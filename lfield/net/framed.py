@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from lfield.authority.identity import STRANGER
 from lfield.errors import AddressError, GreetingError, WireError
 from lfield.loop import unexpected
 from lfield.wire.codec import (
@@ -17,6 +18,7 @@ from lfield.wire.codec import (
 )
 
 if TYPE_CHECKING:
+    from lfield.authority.identity import Identity
     from lfield.errors import LfieldError
     from lfield.net.transport import LinkHandler
     from lfield.wire.coordinators import Transfer
@@ -38,6 +40,7 @@ class FramedLink:
 
     def __init__(self, peer: str, max_block: int) -> None:
         self.peer = peer
+        self.who: Identity = STRANGER
         self.closed = False
         self._error: LfieldError | None = None
         self._max_block = max_block

@@ -1,56 +1,67 @@
 """Who may be talked to: the rules of the first message on a link, as a pure state machine.
 
 Both sides send their `Hello` at once. Whoever finds the other's unfit answers with `Refuse`, so that the
-same sentence is in both logs, and closes.
+same sentence is in both logs, and closes. Who the other is was proven before, by TLS or by the kernel; what
+it says of itself must be that.
 """
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING, NoReturn
 
+from lfield.authority.judge import ALL_IS_WELL, Verdict
+from lfield.authority.rights import lacks
 from lfield.errors import GreetingError, WireError
-from lfield.wire.messages import PROTOCOL, ForeignHello, Hello, Ping, Refuse
-from lfield.wire.observing import EmergencyStop, Forget, Pause, Recover, StatusRequest
+from lfield.wire.messages import PROTOCOL, ForeignHello, Hello, Refuse
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Mapping
 
+    from lfield.authority.identity import Identity
     from lfield.wire.messages import Message
-
-
-#: What an observer may send: it looks, it may stop every device, as anybody should be able to, and it passes
-#: on a person's word about a coordinator that nobody knows to be alive.
-OBSERVERS = StatusRequest | Ping | EmergencyStop | Forget | Pause | Recover
 
 
 class Greeting:
     """The greeting of one link, seen from one side.
 
-    `own` is the Hello this side sends. `hosts` are the names of the deployment, `linked` the hosts that
-    have a live link here, by name, with their incarnations. Both are of the same moment: what an earlier life
-    of the peer may yet send on its link is not in `own`, so that link must be gone.
-    `dialled` is the name of the host this side called; None on the side that was called. An observer
-    (`own.role`) knows no deployment: it passes no hosts and takes any. Where `observers_only`, hosts are
-    refused.
+    `own` is the Hello this side sends, `who` is at the other end, and `verdict` what that one is good for
+    now. `hosts` are the names of the deployment, `linked` the hosts that have a live link here, by name, with
+    their incarnations. Both are of the same moment: what an earlier life of the peer may yet send on its link
+    is not in `own`, so that link must be gone. `dialled` is the name of the host this side called; None on
+    the side that was called. An observer (`own.role`) knows no deployment: it passes no hosts and takes any.
 
-    Feed every message to `receive` until `peer` is set. When that raises, send `refusal`, if there is
-    one, and let the error close the link.
+    Send what `begin` gives, feed every message to `receive` until `peer` is set, each later one to `admit`.
+    When one raises, send `refusal`, if there is one, and let the error close the link.
     """
 
     def __init__(
         self,
         own: Hello,
+        who: Identity,
         *,
+        verdict: Verdict = ALL_IS_WELL,
         hosts: Collection[str] = (),
         linked: Mapping[str, int] | None = None,
         dialled: str | None = None,
-        observers_only: bool = False,
     ) -> None:
-        self.own = own
+        self.own, self.who, self._verdict = own, who, verdict
         self.peer: Hello | None = None
         self.refusal: Refuse | None = None
-        self._hosts, self._dialled, self._observers_only = hosts, dialled, observers_only
+        self._hosts, self._dialled = hosts, dialled
         self._linked: Mapping[str, int] = {} if linked is None else linked
+
+    def begin(self) -> Hello:
+        """What to send first. Raises GreetingError where the other is to hear nothing of this host."""
+        who = self.who
+        if who.kind == "stranger":
+            self._refuse("nobody here knows who this is; hosts and people have keys of 'lfield keys'")
+        if who.kind == "local" and not who.may:
+            self._refuse(
+                f"{who} may nothing here: join the group 'lfield', which may look and stop, or use sudo"
+            )
+        if self._verdict.extent == "nothing":
+            self._refuse(self._verdict.why)
+        return self.own
 
     def receive(self, message: Message) -> Hello:
         """The peer's Hello, if it fits. Raises GreetingError, and WireError for anything but a greeting."""
@@ -63,8 +74,7 @@ class Greeting:
             )
         if not isinstance(message, Hello):
             raise WireError(f"a {type(message).__name__} came before the greeting")
-        if self._observers_only and message.role != "observer":
-            self._refuse(f"{self.own.host} takes hosts at its address; this socket is for commands")
+        self._check_identity(message)
         if "observer" not in (self.own.role, message.role):
             self._check_name(message)
         self._check_hashes(message)
@@ -77,16 +87,29 @@ class Greeting:
         return message
 
     def admit(self, message: Message) -> None:
-        """Raises WireError for a message that the greeted peer must not send; observers look, or stop."""
+        """Raises WireError for a message that nobody sends after the greeting, GreetingError for one that the
+        peer may not send."""
         if isinstance(message, Hello | ForeignHello):
             raise WireError("a second greeting came on one link")
         if self.peer is None:
             raise WireError(f"a {type(message).__name__} came before the greeting")
-        if self.peer.role == "observer" and not isinstance(message, OBSERVERS):
-            raise WireError(
-                f"an observer sent a {type(message).__name__}; it may ask for the status, stop the devices "
-                "and forget a coordinator"
+        if self.peer.role == "observer" and (why := lacks(self.who, self._verdict, message)):
+            self._refuse(why)
+
+    def _check_identity(self, hello: Hello) -> None:
+        """What somebody calls itself is no more than what it has proven."""
+        who = self.who
+        if hello.role == "observer" or (self.own.role == "observer" and who.kind == "local"):
+            return
+        if who.kind != "host":
+            self._refuse(f"{self.own.host} takes hosts by their certificates, and {who} only gives commands")
+        if who.name != hello.host:
+            self._refuse(
+                f"{who} calls itself {hello.host}; the name in its certificate must be its name in the "
+                f"deployment: 'lfield keys host {hello.host}' makes one"
             )
+        if self.own.role == "observer" and self._dialled not in (None, hello.host):
+            self._refuse(f"{hello.host} answered at the address of {self._dialled}; correct the address")
 
     def _check_name(self, hello: Hello) -> None:
         name = hello.host
@@ -118,6 +141,7 @@ class Greeting:
                 hello.registry,
                 "the same .capabilities.yaml file and the same version of lfield",
             ),
+            ("access rules", self.own.access, hello.access, "the same .access.yaml file"),
         )
         for what, ours, theirs, remedy in pairs:
             anything_goes = (not ours and self.own.role == "observer") or (
@@ -125,7 +149,7 @@ class Greeting:
             )
             if ours != theirs and not anything_goes:
                 self._refuse(
-                    f"{self.own.host} has {what} {ours.hex()[:12]} and {hello.host} has {what} "
+                    f"{self.own.host} has {what} {ours.hex()[:12] or '(none)'} and {hello.host} has {what} "
                     f"{theirs.hex()[:12] or '(none)'}; start both from {remedy}, or from one bundle"
                 )
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import random
 from collections import Counter
+from collections.abc import Iterator
 from typing import Generic, TypeVar
 
 G = TypeVar("G")
@@ -29,6 +30,9 @@ class Guests(Generic[G]):
             del self._addresses[pushed]
         self._addresses[guest] = address
         return pushed
+
+    def __iter__(self) -> Iterator[G]:
+        return iter(list(self._addresses))
 
     def leave(self, guest: G) -> None:
         """One has gone, or is a guest no longer; any other is none here."""

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import asyncio
 import errno
-import ipaddress
 import socket
 from collections.abc import Sequence
 
@@ -45,18 +43,6 @@ def _is_own_address(host: str) -> bool:
         except OSError:
             continue
     return False
-
-
-async def is_loopback(address: str) -> bool:
-    """Whether listening there can be reached from this machine only. Raises AddressError."""
-    host, _ = split_address(address)
-    try:
-        found = await asyncio.get_running_loop().getaddrinfo(host, 0, type=socket.SOCK_STREAM)
-    except (OSError, UnicodeError):
-        raise AddressError(
-            address, f"the name {host} leads to no address; use --map NAME=ADDR:PORT"
-        ) from None
-    return all(ipaddress.ip_address(str(entry[4][0]).partition("%")[0]).is_loopback for entry in found)
 
 
 def insist_on_free(address: str) -> None:

@@ -13,18 +13,20 @@ import asyncio
 import random
 from collections.abc import Callable, Collection, Sequence
 from contextlib import suppress
-from typing import Protocol
 
+from lfield.authority.admission import Admission
+from lfield.authority.identity import Identity
 from lfield.clock import Clock
-from lfield.errors import AddressError
+from lfield.errors import AddressError, GreetingError, KeysError, WireError
 from lfield.loop import spare_descriptors, spawn
 from lfield.net.greeting import Greeting
 from lfield.net.guests import Guests
+from lfield.net.owner import Complaints, Owner
 from lfield.net.session import Session
 from lfield.net.transport import Link, Listener, Transport
 from lfield.wire.coordinators import Transfer
 from lfield.wire.framing import Buffer
-from lfield.wire.messages import Control, Hello, Ping, Pong
+from lfield.wire.messages import Control, Hello, Ping, Pong, Revocations
 
 #: Seconds between two attempts to reach a host: the first wait, and the longest.
 FIRST_RETRY, LAST_RETRY = 0.05, 1.0
@@ -39,36 +41,6 @@ NEW_FOR = 1.0
 MOST_UNGREETED, MOST_OBSERVERS = 64, 64
 #: So many descriptors are kept for the next callers, one of which may be an emergency stop.
 SPARE, FULL = 4, "this computer lets this host open no more links"
-#: How many different complaints are remembered, so as not to be repeated.
-MOST_COMPLAINTS = 100
-
-
-class Owner(Protocol):
-    """The host the links belong to."""
-
-    def hello(self) -> Hello:
-        """What this host says of itself now."""
-
-    def linked(self, hello: Hello) -> None:
-        """A host can be talked to."""
-
-    def unlinked(self, host: str, *, quietly: bool) -> None:
-        """A host cannot be talked to any more; `quietly`, since this host did not want to."""
-
-    def wanted(self) -> Collection[str]:
-        """The hosts to have links with now."""
-
-    def received(self, host: str, message: Control, link: Link) -> None:
-        """A message came; `host` is '' when an observer sent it."""
-
-    def arrived(self, host: str, header: Transfer, block: memoryview) -> None:
-        """A coordinator came."""
-
-    def too_large(self, host: str, header: Transfer, size: int) -> None:
-        """A coordinator came whose block was not even read."""
-
-    def note(self, text: str) -> None:
-        """A line for the log."""
 
 
 class Peers:
@@ -87,8 +59,10 @@ class Peers:
         addresses: Sequence[str],
         here: int,
         near: Collection[str],
+        admission: Admission | None = None,
     ) -> None:
         self._owner, self._transport, self._clock = owner, transport, clock
+        self._admission = admission or Admission()
         #: The clock's monotonic time.
         self.now = clock.monotonic
         self._hosts, self._addresses, self._here, self._near = hosts, addresses, here, near
@@ -104,7 +78,7 @@ class Peers:
         self._links: dict[str, Session] = {}
         self._tasks: list[asyncio.Task[None]] = []
         self._listeners: list[Listener] = []
-        self._complaints: set[str] = set()
+        self._complaints = Complaints(owner.note)
         self._ungreeted: Guests[Session] = Guests(MOST_UNGREETED, dice)
         self._observers: Guests[Session] = Guests(MOST_OBSERVERS, dice)
         #: The hosts that have neither greeted yet nor failed to answer a call, and those that have greeted.
@@ -126,22 +100,22 @@ class Peers:
         return session.heard if session else self._last_heard.get(host)
 
     async def open(self, address: str) -> str:
-        """Listen, begin to call the others; returns the address with its real port. Raises AddressError."""
-        listener = await self._transport.listen(address, self._called)
-        self._listeners.append(listener)
+        """Listen, begin to call the others; returns the address with its real port. Raises AddressError.
+
+        Where the address is '', nobody but commands at the door will call.
+        """
+        if address:
+            self._listeners.append(await self._transport.listen(address, self._called))
+            address = self._listeners[0].address
         self._want(self._clock.monotonic())
         if not self._unheard:
             self._all_heard.set()
         self._tasks.append(spawn(self._keep_alive()))
-        return listener.address
+        return address
 
     async def open_door(self, address: str) -> None:
-        """Listen there too, for observers alone. Raises AddressError."""
-
-        def called(link: Link) -> Session:
-            return self._called(link, observers_only=True)
-
-        self._listeners.append(await self._transport.listen(address, called))
+        """Listen there too, at a Unix socket, for commands of this computer. Raises AddressError."""
+        self._listeners.append(await self._transport.listen(address, self._called))
 
     async def first_round(self, bound: float) -> None:
         """Return when every host has greeted or did not answer when called, or after `bound` seconds.
@@ -184,10 +158,10 @@ class Peers:
 
     # --- both directions ------------------------------------------------------------------------------
 
-    def _called(self, link: Link, *, observers_only: bool = False) -> Session:
-        session = Session(self, dialled=None, observers_only=observers_only)
+    def _called(self, link: Link) -> Session:
+        session = Session(self, dialled=None)
         # The transport hands out messages only when this has returned.
-        session.greet(link)
+        session.wait(link)
         last = not spare_descriptors(SPARE)
         pushed = self._ungreeted.enter(session, session.caller, last=last)
         if pushed is not None:
@@ -246,10 +220,14 @@ class Peers:
                 # It has called meanwhile.
                 link.close()
             else:
-                session.greet(link)
+                session.begin(link)
             await session.over.wait()
             return session.reason
         except AddressError as error:
+            return str(error)
+        except (GreetingError, WireError) as error:
+            # Somebody was there, which is news.
+            session.connected = True
             return str(error)
         finally:
             self._dialling.pop(name, None)
@@ -270,6 +248,7 @@ class Peers:
             self._want(now)
             for host, session in list(self._links.items()):
                 self._look_at(host, session, now, token)
+            self.judge()
 
     def _want(self, now: float) -> None:
         """Call whom this host wants now and has no link with; no others any more."""
@@ -303,14 +282,15 @@ class Peers:
 
     # --- what sessions report -------------------------------------------------------------------------
 
-    def new_greeting(self, dialled: str | None, *, observers_only: bool) -> Greeting:
+    def new_greeting(self, dialled: str | None, who: Identity) -> Greeting:
         """The greeting for a new link."""
         return Greeting(
-            self._owner.hello(),
+            self._admission.signed(self._owner.hello()),
+            who,
+            verdict=self._admission.verdict(who, expected=dialled or ""),
             hosts=self._hosts,
             linked=self._lively(),
             dialled=dialled,
-            observers_only=observers_only,
         )
 
     def _lively(self) -> dict[str, int]:
@@ -334,9 +314,35 @@ class Peers:
             own.link.close()
         return False
 
+    def judge(self) -> None:
+        """End the links of whoever is not to have one any more."""
+        for session in [*self._links.values(), *self._observers]:
+            verdict = self._admission.verdict(session.link.who, linked=True)
+            if verdict.why:
+                self.complain(verdict.why)
+            if verdict.extent == "nothing":
+                session.dismiss(verdict.why)
+
+    def _take_list(self, data: bytes) -> None:
+        """A revocation list has come: pass on one that is new to all, and to its end whom it is about."""
+        try:
+            newer = self._admission.newer(data)
+        except KeysError as error:
+            raise WireError(str(error)) from None
+        if newer:
+            self._owner.note(f"revocation list {self._admission.number} has come")
+            for host in self._links:
+                self.send(host, Revocations(data))
+            self.judge()
+
     def known(self, session: Session, hello: Hello) -> None:
         """A link has greeted, and its other side has taken ours."""
         self._ungreeted.leave(session)
+        self._admission.greeted(session.link.who, hello)
+        if line := self._admission.line():
+            self.complain(line)
+        if hello.role == "host" and hello.revoked < self._admission.number:
+            session.link.send(Revocations(self._admission.list))
         if hello.role == "host":
             self._linked(session, hello)
             return
@@ -373,6 +379,8 @@ class Peers:
         """A message came in on a greeted link."""
         if isinstance(message, Ping):
             session.link.send(Pong(message.token))
+        elif isinstance(message, Revocations):
+            self._take_list(message.list)
         elif not isinstance(message, Pong):
             hello = session.hello
             assert hello is not None
@@ -390,9 +398,4 @@ class Peers:
 
     def complain(self, text: str) -> None:
         """A line for the log, once: a caller that is refused calls again every second."""
-        if text in self._complaints:
-            return
-        if len(self._complaints) >= MOST_COMPLAINTS:
-            self._complaints.clear()
-        self._complaints.add(text)
-        self._owner.note(text)
+        self._complaints.say(text)

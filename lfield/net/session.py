@@ -14,6 +14,7 @@ from lfield.wire.messages import Control, Hello, Message, Ping, Refuse
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from lfield.authority.identity import Identity
     from lfield.net.greeting import Greeting
     from lfield.net.transport import Link
 
@@ -24,8 +25,8 @@ GREETED_WITHIN = 10.0
 class Sessions(Protocol):
     """Who keeps the links of a host."""
 
-    def new_greeting(self, dialled: str | None, *, observers_only: bool) -> Greeting:
-        """The greeting for a new link, made when it can be sent."""
+    def new_greeting(self, dialled: str | None, who: Identity) -> Greeting:
+        """The greeting for a new link with somebody, made when it can be sent."""
 
     def crossed(self, host: str, came: float) -> bool:
         """Whether this host's own call is the one that counts, of two that crossed; the other `came` then."""
@@ -61,13 +62,12 @@ class Session:
     link: Link
     _greeting: Greeting
 
-    def __init__(self, peers: Sessions, dialled: str | None, *, observers_only: bool = False) -> None:
+    def __init__(self, peers: Sessions, dialled: str | None) -> None:
         self._peers, self._now = peers, peers.now
         self.dialled = dialled
         self.connected = False
         #: When it was made, and when the other took it.
         self.made, self.linked_at = self._now(), math.inf
-        self._observers_only = observers_only
         self.hello: Hello | None = None
         #: When something last came, and when this host last had no use for the link.
         self.heard = self.idle = 0.0
@@ -80,21 +80,47 @@ class Session:
         """Whether the other has taken it."""
         return self.linked_at < math.inf
 
+    def wait(self, link: Link) -> None:
+        """Somebody calls: wait for the greeting, though not for ever. A stranger hears nothing before it."""
+        self.link = link
+        self._patience = asyncio.get_running_loop().call_later(GREETED_WITHIN, self._give_up)
+        if link.who.kind != "stranger":
+            self.begin(link)
+
+    def begin(self, link: Link) -> None:
+        """Greet first, and end the link where the other is to hear nothing but why."""
+        try:
+            self.greet(link)
+        except GreetingError as error:
+            self.reason = str(error)
+            self._tell_refusal()
+            if not self.dialled:
+                self._complain(self.reason)
+            link.close()
+
     def greet(self, link: Link) -> None:
         """Say who we are, and wait for the other's greeting, though not for ever. Again: nothing happens.
 
-        What this host knows is told as it is now: to be connected may have taken long.
+        What this host knows is told as it is now: to be connected may have taken long. Raises GreetingError.
         """
         if self.connected:
             return
         self.link, self.connected = link, True
-        self._greeting = self._peers.new_greeting(self.dialled, observers_only=self._observers_only)
-        self._patience = asyncio.get_running_loop().call_later(GREETED_WITHIN, self._give_up)
+        self._greeting = self._peers.new_greeting(self.dialled, link.who)
+        if self._patience is None:
+            self._patience = asyncio.get_running_loop().call_later(GREETED_WITHIN, self._give_up)
         with suppress(AddressError):
-            link.send(self._greeting.own)
+            link.send(self._greeting.begin())
 
     def on_message(self, link: Link, message: Message) -> None:
         """The greeting first, then whatever its sender may send."""
+        try:
+            self._heard(link, message)
+        except GreetingError:
+            self._tell_refusal()
+            raise
+
+    def _heard(self, link: Link, message: Message) -> None:
         if self.hello is None:
             self._greeted(link, message)
             return
@@ -116,12 +142,7 @@ class Session:
         """The other's greeting: tell it that it is taken, or why it is not."""
         # On a link just made, the other's greeting may be read before whoever called gets its turn.
         self.greet(link)
-        try:
-            hello = self._greeting.receive(message)
-        except GreetingError:
-            if self._greeting.refusal:
-                link.send(self._greeting.refusal)
-            raise
+        hello = self._greeting.receive(message)
         if self.dialled is None and hello.role == "host" and self._peers.crossed(hello.host, self.made):
             link.close()
             return
@@ -158,6 +179,13 @@ class Session:
         self._peers.gone(self)
         self.over.set()
 
+    def dismiss(self, reason: str) -> None:
+        """Tell the other why its link ends, and end it."""
+        self.reason = reason
+        with suppress(AddressError):
+            self.link.send(Refuse(reason))
+        self.link.close()
+
     def _relax(self) -> None:
         if self._patience:
             self._patience.cancel()
@@ -171,6 +199,11 @@ class Session:
         if not self.dialled:
             self._complain(reason)
         self.link.abort()
+
+    def _tell_refusal(self) -> None:
+        with suppress(AddressError):
+            if self._greeting.refusal:
+                self.link.send(self._greeting.refusal)
 
     @property
     def caller(self) -> str:

@@ -9,17 +9,18 @@ import socket
 import stat
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING
 
-from lfield.errors import AddressError, NobodyListens, WireError
-from lfield.net.framed import FramedLink
-from lfield.net.transport import join_address, split_address
+from lfield.errors import AddressError, NobodyListens
+from lfield.net.stream import UNIX, StreamLink, TlsLink, nobody_known, socket_address
+from lfield.net.transport import split_address
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from lfield.authority.identity import Identity
+    from lfield.net.tls import Tls
     from lfield.net.transport import Link, LinkHandler
-    from lfield.wire.framing import Buffer
 
 _REASONS = {
     errno.EADDRINUSE: "the port is in use; stop the program that has it, or choose another port",
@@ -29,16 +30,9 @@ _REASONS = {
     errno.ENETUNREACH: "there is no way to that network",
 }
 
-#: What the address of a Unix socket begins with; the path follows.
-UNIX = "unix:"
-#: Whoever called at a Unix socket, in sentences: it has no address.
-CALLER = "a command on this computer"
-
 #: How many callers are let in at once, and how many may wait. Asyncio's own loop takes one number for both:
 #: of a crowd it would take more at once than there are descriptors, before any of them can be shown out.
 AT_ONCE, WAITING = 1, 128
-#: Seconds that a peer has to take the last words of a link that is closed.
-LAST_WORDS = 5.0
 
 
 class TcpTransport:
@@ -46,13 +40,21 @@ class TcpTransport:
 
     `max_block` is the largest block to take and `max_pending` the most bytes to hold for a peer that does
     not read (by default room for four such blocks); a link over it is closed. `connect_timeout` is in
-    seconds.
+    seconds. With `tls` both ends of a TCP link prove who they are and nobody else can read it; without it
+    whoever is there is a stranger, but where addresses do not lie, as in a simulation: `resident` says so.
     """
 
     def __init__(
-        self, max_block: int, *, max_pending: int | None = None, connect_timeout: float = 5.0
+        self,
+        max_block: int,
+        tls: Tls | None = None,
+        *,
+        resident: Callable[[str], Identity] = nobody_known,
+        max_pending: int | None = None,
+        connect_timeout: float = 5.0,
     ) -> None:
         self._max_block = max_block
+        self._tls, self._resident = tls, resident
         self._max_pending = 4 * max_block + (1 << 20) if max_pending is None else max_pending
         self._connect_timeout = connect_timeout
 
@@ -64,14 +66,16 @@ class TcpTransport:
         """
         loop = asyncio.get_running_loop()
 
-        def called() -> _TcpLink:
-            return self._new_link(on_link)
+        plain = address.startswith(UNIX)
+
+        def called() -> StreamLink:
+            return self._new_link(on_link, plain=plain, calls=False)
 
         try:
             if address.startswith("fd:"):
                 inherited = socket.socket(fileno=int(address[3:]))
                 server = await loop.create_server(called, sock=inherited, backlog=AT_ONCE)
-            elif address.startswith(UNIX):
+            elif plain:
                 server = await loop.create_unix_server(called, sock=_bound(_path(address)), backlog=AT_ONCE)
             else:
                 server = await loop.create_server(called, *split_address(address), backlog=AT_ONCE)
@@ -82,19 +86,26 @@ class TcpTransport:
         return TcpListener(server)
 
     async def connect(self, address: str, handler: LinkHandler) -> Link:
-        """A link to whoever listens there. Raises AddressError, NobodyListens if nobody does."""
-        loop = asyncio.get_running_loop()
+        """A link to whoever listens there. Raises AddressError, NobodyListens if nobody does.
 
-        def calling() -> _TcpLink:
-            return self._new_link(lambda _: handler)
+        GreetingError and WireError where the two do not prove to each other who they are.
+        """
+        loop = asyncio.get_running_loop()
+        plain, link = address.startswith(UNIX), None
+
+        def calling() -> StreamLink:
+            return self._new_link(lambda _: handler, plain=plain, calls=True)
 
         try:
             async with asyncio.timeout(self._connect_timeout):
-                if address.startswith(UNIX):
+                if plain:
                     _, link = await loop.create_unix_connection(calling, str(_path(address)))
                 else:
                     _, link = await loop.create_connection(calling, *split_address(address))
+                await link.ready()
         except TimeoutError:
+            if link is not None:
+                link.abort()
             raise AddressError(address, f"no answer within {self._connect_timeout:g} s") from None
         except (ConnectionRefusedError, FileNotFoundError):
             raise NobodyListens(address) from None
@@ -102,8 +113,10 @@ class TcpTransport:
             raise AddressError(address, refusal(error)) from None
         return link
 
-    def _new_link(self, on_link: Callable[[Link], LinkHandler]) -> _TcpLink:
-        return _TcpLink(self._max_block, self._max_pending, on_link)
+    def _new_link(self, on_link: Callable[[Link], LinkHandler], *, plain: bool, calls: bool) -> StreamLink:
+        if plain or self._tls is None:
+            return StreamLink(self._max_block, self._max_pending, on_link, self._resident)
+        return TlsLink(self._max_block, self._max_pending, on_link, self._tls, calls=calls)
 
 
 def _path(address: str) -> Path:
@@ -130,7 +143,7 @@ class TcpListener:
 
     def __init__(self, server: asyncio.Server) -> None:
         self._server = server
-        self.address = _socket_address(server.sockets[0].getsockname())
+        self.address = socket_address(server.sockets[0].getsockname())
 
     def close(self) -> None:
         """Take no more links."""
@@ -138,79 +151,6 @@ class TcpListener:
         if self.address.startswith(UNIX):
             with suppress(FileNotFoundError):
                 _path(self.address).unlink()
-
-
-class _TcpLink(FramedLink, asyncio.Protocol):
-    """One connection, either end."""
-
-    _transport: asyncio.Transport
-
-    def __init__(self, max_block: int, max_pending: int, on_link: Callable[[Link], LinkHandler]) -> None:
-        super().__init__("a peer", max_block)
-        self._max_pending = max_pending
-        self._on_link = on_link
-        self._loop = asyncio.get_running_loop()
-        self._waiting: list[Buffer] = []
-        self._patience: asyncio.TimerHandle | None = None
-
-    def write(self, data: Buffer) -> None:
-        """Messages of one turn leave together: a system call costs more than all the rest of a hop."""
-        if not self._waiting:
-            self._loop.call_soon(self._flush)
-        self._waiting.append(data)
-
-    def write_now(self, data: Buffer) -> None:
-        """Nothing is planned for later where nothing waits: mostly a coordinator leaves alone."""
-        if self._waiting:
-            self._waiting.append(data)
-            self._flush()
-        elif not self._transport.is_closing():
-            self._transport.write(data)
-
-    def _flush(self) -> None:
-        waiting, self._waiting = self._waiting, []
-        if waiting and not self._transport.is_closing():
-            self._transport.write(waiting[0] if len(waiting) == 1 else b"".join(waiting))
-
-    def close(self) -> None:
-        self._flush()
-        self.closed = True
-        self._transport.close()
-        if self._patience is None and self._transport.get_write_buffer_size():
-            self._patience = self._loop.call_later(LAST_WORDS, self._transport.abort)
-
-    def abort(self) -> None:
-        self.closed = True
-        self._transport.abort()
-
-    def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        self._transport = cast("asyncio.Transport", transport)
-        self.peer = _socket_address(transport.get_extra_info("peername"))
-        # A hop is one small write that nobody answers: it must not wait to be joined by more.
-        if (made := transport.get_extra_info("socket")).family != socket.AF_UNIX:
-            made.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        self._transport.set_write_buffer_limits(high=self._max_pending)
-        self.handler = self._on_link(self)
-
-    def data_received(self, data: bytes) -> None:
-        self.received(data)
-
-    def pause_writing(self) -> None:
-        """Asyncio's word for: more bytes wait than `max_pending`."""
-        self._error = WireError(f"{self.peer} does not read: over {self._max_pending} bytes wait for it")
-        self.closed = True
-        self._transport.abort()
-
-    def connection_lost(self, exc: Exception | None) -> None:
-        if self._patience is not None:
-            self._patience.cancel()
-        self.finished(AddressError(self.peer, f"the connection was lost: {exc}") if exc else None)
-
-
-def _socket_address(name: str | tuple[str, int] | tuple[str, int, int, int]) -> str:
-    if isinstance(name, str):
-        return f"{UNIX}{name}" if name else CALLER
-    return join_address(name[0], name[1])
 
 
 def refusal(error: OSError | UnicodeError) -> str:

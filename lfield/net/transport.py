@@ -16,6 +16,7 @@ from lfield.errors import AddressError
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from lfield.authority.identity import Identity
     from lfield.errors import LfieldError
     from lfield.wire.coordinators import Transfer
     from lfield.wire.framing import Buffer
@@ -50,6 +51,11 @@ class Link(Protocol):
     @property
     def peer(self) -> str:
         """The address of the other end, for sentences."""
+
+    @property
+    def who(self) -> Identity:
+        """Who is there, as proven. Whoever calls knows it when the link is made; whoever is called may take
+        the other for a stranger until the first message has come."""
 
     def send(self, message: Message) -> None:
         """Queue a message. Raises AddressError on a closed link."""
@@ -94,7 +100,7 @@ class Transport(Protocol):
     async def connect(self, address: str, handler: LinkHandler) -> Link:
         """A link to whoever listens there; `handler` may hear from it before this returns.
 
-        Raises AddressError.
+        Raises AddressError, and GreetingError where one of the two does not take the other's certificate.
         """
 
 

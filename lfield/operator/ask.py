@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 import asyncio
+import os
 import sys
-from collections.abc import Hashable, Mapping, Sequence
+from collections.abc import Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Generic, TypeVar
+from pathlib import Path
+from typing import TYPE_CHECKING, Generic, TypeVar
 
-from lfield.errors import AddressError, GreetingError, LfieldError, NobodyListens, WireError
+from lfield.authority import folder
+from lfield.errors import AddressError, GreetingError, KeysError, LfieldError, NobodyListens, WireError
 from lfield.net.greeting import Greeting
+from lfield.net.stream import UNIX
 from lfield.net.tcp import TcpTransport
 from lfield.net.transport import Link, Transport
 from lfield.operator.addressed import Party, Place
 from lfield.wire.coordinators import Transfer
 from lfield.wire.fields import clip
-from lfield.wire.messages import Hello, Message
+from lfield.wire.messages import Hello, Message, Refuse
 from lfield.wire.observing import (
     EmergencyStop,
     EmergencyStopped,
@@ -27,6 +31,9 @@ from lfield.wire.observing import (
     Status,
     StatusRequest,
 )
+
+if TYPE_CHECKING:
+    from lfield.net.tls import Tls
 
 T = TypeVar("T", bound=Status | EmergencyStopped | Forgotten | Recovered)
 K = TypeVar("K", bound=Hashable)
@@ -75,10 +82,19 @@ def recover(word: Recover) -> Request[Recovered]:
     return Request(word, Recovered, 8.0)
 
 
-def ask_parties(parties: Sequence[Party], request: Request[T]) -> dict[Place, T | LfieldError]:
-    """What all hosts of some parties answer, in their order."""
+def ask_parties(
+    parties: Sequence[Party], request: Request[T], keys: Path | None = None
+) -> dict[Place, T | LfieldError]:
+    """What all hosts of some parties answer, in their order. `keys` is where those of this user should be."""
     places = {place: address for party in parties for place, address in party.places.items()}
-    return asyncio.run(ask_all(observer(), places, request))
+    try:
+        tls, wrong = own_tls(places.values(), keys), None
+    except KeysError as error:
+        # Whoever is on this computer must hear it all the same: it may be a stop.
+        tls, wrong = None, error
+    asked = {place: at for place, at in places.items() if wrong is None or at.startswith(UNIX)}
+    answers = dict.fromkeys(places, wrong) | asyncio.run(ask_all(observer(tls), asked, request))
+    return {place: answer for place, answer in answers.items() if answer is not None}
 
 
 def by_host(answers: Mapping[Place, T | LfieldError], party: Party) -> Answers[T]:
@@ -102,9 +118,23 @@ def tell_silent(hosts: Mapping[str, LfieldError], meaning: str = "") -> None:
         print(f"{host}: {meaning}{why}", file=sys.stderr)
 
 
-def observer(connect_timeout: float = 2.0) -> TcpTransport:
-    """What links to hosts are made with; `connect_timeout` in seconds."""
-    return TcpTransport(_MAX_BLOCK, connect_timeout=connect_timeout)
+def observer(tls: Tls | None = None, connect_timeout: float = 2.0) -> TcpTransport:
+    """What links to hosts are made with; `connect_timeout` in seconds. Over a network it takes keys."""
+    return TcpTransport(_MAX_BLOCK, tls, connect_timeout=connect_timeout)
+
+
+def own_tls(addresses: Iterable[str], named: Path | None) -> Tls | None:
+    """What this user proves who they are with; None without keys, and where nobody is asked over a network.
+
+    Raises KeysError.
+    """
+    if all(address.startswith(UNIX) for address in addresses):
+        return None
+    # Most commands ask on this computer, and TLS takes its time to load.
+    from lfield.net.tls import Tls
+
+    found = folder.find("person", folder.ME, named, os.environ)
+    return Tls(folder.read(found, "person")) if found is not None else None
 
 
 async def ask_all(
@@ -112,22 +142,30 @@ async def ask_all(
 ) -> dict[K, T | LfieldError]:
     """The answer of every host by its key, all asked at once."""
 
-    async def one(address: str) -> T | LfieldError:
+    async def one(key: K, address: str) -> T | LfieldError:
         try:
-            return await ask(transport, address, request)
+            return await ask(transport, address, request, key.host if isinstance(key, Place) else str(key))
         except LfieldError as error:
             return error
 
-    answers = await asyncio.gather(*(one(address) for address in addresses.values()))
+    answers = await asyncio.gather(*(one(*place) for place in addresses.items()))
     return dict(zip(addresses, answers, strict=True))
 
 
-async def ask(transport: Transport, address: str, request: Request[T]) -> T:
-    """The answer of the host at an address. Raises AddressError, GreetingError, WireError."""
-    asking = _Asking(request)
+async def ask(transport: Transport, address: str, request: Request[T], host: str | None = None) -> T:
+    """The answer of the host at an address, where `host` is meant to be.
+
+    Raises AddressError, GreetingError, WireError, KeysError.
+    """
+    asking = _Asking(request, host)
     link = await transport.connect(address, asking)
     try:
-        link.send(asking.greeting.own)
+        if link.who.kind == "stranger":
+            raise KeysError(
+                f"the host at {address} takes commands from those alone who have keys: 'lfield keys person' "
+                "makes them, and --keys, $LFIELD_KEYS or ~/.config/lfield/keys/me says where they are"
+            )
+        asking.greet(link)
         async with asyncio.timeout(request.bound):
             return await asking.answer
     except TimeoutError:
@@ -140,15 +178,25 @@ async def ask(transport: Transport, address: str, request: Request[T]) -> T:
 class _Asking(Generic[T]):
     """The handler of one link: greets, asks, keeps the answer."""
 
-    def __init__(self, request: Request[T]) -> None:
-        self._request = request
-        self.greeting = Greeting(Hello("observer", "observer", 0))
+    def __init__(self, request: Request[T], host: str | None) -> None:
+        self._request, self._host = request, host
+        self._greeting: Greeting | None = None
         self.answer: asyncio.Future[T] = asyncio.get_running_loop().create_future()
 
+    def greet(self, link: Link) -> Greeting:
+        """Greet whoever is there, once; what the host says may come before whoever connects gets its turn."""
+        if self._greeting is None:
+            self._greeting = Greeting(Hello("observer", "observer", 0), link.who, dialled=self._host)
+            link.send(self._greeting.begin())
+        return self._greeting
+
     def on_message(self, link: Link, message: Message) -> None:
-        if self.greeting.peer is None:
-            link.greeted(self.greeting.receive(message).role)
+        greeting = self.greet(link)
+        if greeting.peer is None:
+            link.greeted(greeting.receive(message).role)
             link.send(self._request.message)
+        elif isinstance(message, Refuse):
+            raise GreetingError(f"{greeting.peer.host} refused: {message.reason}")
         elif isinstance(message, self._request.answer) and not self.answer.done():
             self.answer.set_result(message)
 

@@ -12,7 +12,7 @@ from typing import NamedTuple
 from msgspec import structs
 
 from lfield.errors import LfieldError
-from lfield.journal.pages import CopyPage, Page, Run
+from lfield.journal.pages import BundlePage, CopyPage, Page, Run
 from lfield.operator.ask import Answers
 from lfield.wire.coordinators import Outcome
 from lfield.wire.observing import Status
@@ -57,7 +57,8 @@ def anew(host: str, pages: Sequence[Page], answers: Answers[Status]) -> Anew:
             away.append(page)
     thrown += parked
     changed += [_ended(page, "lost", WORD, host) for page in thrown]
-    return Anew(thrown, away, [*changed, Run(open=False)], parked)
+    begun = [BundlePage(b"") for page in pages if isinstance(page, BundlePage)]
+    return Anew(thrown, away, [*changed, Run(open=False), *begun], parked)
 
 
 def _told(page: CopyPage, answers: Answers[Status]) -> CopyPage | None:

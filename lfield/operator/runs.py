@@ -33,7 +33,7 @@ from msgspec import Meta
 from lfield.driver.binding import longest_rest
 from lfield.errors import OutputFileError
 from lfield.mission.mission import Mission
-from lfield.net.tcp import UNIX
+from lfield.net.stream import UNIX
 from lfield.text.private import (
     new_private_folder,
     private_opened,

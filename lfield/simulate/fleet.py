@@ -33,6 +33,7 @@ from lfield.simulate.computers.network import Network
 from lfield.simulate.computers.timeline import Timeline
 from lfield.simulate.disk import JournalDisk
 from lfield.simulate.hardware import REFERENCE, Hardware, guard
+from lfield.simulate.network import resident
 
 #: By how much clocks run fast or slow at most.
 CLOCKS = 0.01
@@ -206,7 +207,8 @@ class Fleet:
         )
         if not self.keeps:
             self._known.add(name)
-        host = Host(self.mission, name, TcpTransport(self.mission.max_block), Logbook(book, book), options)
+        transport = TcpTransport(self.mission.max_block, resident=resident)
+        host = Host(self.mission, name, transport, Logbook(book, book), options)
         life = self.lives[name] = Life(process, host, StopWords(host.clock))
         host.machine.attached.meter = lambda n: process.loop.compute(TURN + n * INSTRUCTION)
         self._born(name, life)

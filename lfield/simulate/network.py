@@ -11,6 +11,7 @@ from collections import Counter
 from functools import partial
 from typing import TYPE_CHECKING
 
+from lfield.authority.identity import ALL, Identity
 from lfield.errors import AddressError, NobodyListens
 from lfield.net.framed import FramedLink
 from lfield.net.transport import join_address, split_address
@@ -114,6 +115,7 @@ class MemoryNetwork:
         near = MemoryLink(self, machine, address, self._max_block)
         far = MemoryLink(self, listener.machine, machine, self._max_block)
         near.other, far.other = far, near
+        near.who, far.who = resident(listener.machine), resident(machine)
         near.handler = handler
         far.handler = listener.on_link(far)
         self._links += [near, far]
@@ -133,6 +135,11 @@ class MemoryNetwork:
     def forget(self, link: MemoryLink) -> None:
         """A link has reported its end."""
         self._links.remove(link)
+
+
+def resident(address: str) -> Identity:
+    """Who is at an address of a simulated network, where addresses do not lie: the host of that name."""
+    return Identity("host", split_address(address)[0], ALL)
 
 
 class MemoryTransport:

@@ -23,6 +23,8 @@ from lfield.errors import OutputFileError
 
 #: What others must not be allowed in such a folder: to write.
 _WRITABLE = stat.S_IWGRP | stat.S_IWOTH
+#: What others must not be allowed with what is secret.
+_READABLE = stat.S_IRWXG | stat.S_IRWXO
 
 
 def temporary_folder() -> Path:
@@ -101,10 +103,11 @@ def private_opened(path: Path, owners: Collection[int] = ()) -> Iterator[int]:
         os.close(folder)
 
 
-def read_private(path: Path, most: int, owners: Collection[int] = ()) -> bytes:
+def read_private(path: Path, most: int, owners: Collection[int] = (), *, secret: bool = False) -> bytes:
     """What `write_private` has written; raises OSError.
 
-    Also when anybody but `owners` could have written it (see `private_opened`), or it is larger than `most`.
+    Also when anybody but `owners` could have written it (see `private_opened`), or it is larger than `most`,
+    and where it is `secret`, when others may read it.
     """
     with private_opened(path.parent, owners) as folder:
         descriptor = os.open(path.name, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK, dir_fd=folder)
@@ -114,6 +117,10 @@ def read_private(path: Path, most: int, owners: Collection[int] = ()) -> bytes:
             raise PermissionError(errno.EPERM, "it is no plain file of this user", str(path))
         if found.st_mode & _WRITABLE:
             raise PermissionError(errno.EPERM, "others may write to it", str(path))
+        if secret and found.st_mode & _READABLE:
+            raise PermissionError(
+                errno.EPERM, f"it is secret, and others may read it: run 'chmod 600 {path}'", str(path)
+            )
         data = file.read(most + 1)
     if len(data) > most:
         raise OSError(errno.EFBIG, os.strerror(errno.EFBIG), str(path))

@@ -1,8 +1,8 @@
-"""What may be attached to a machine: a watcher of its portal calls, stand-ins for resources, a meter.
+"""What may be attached to a machine: rules of portal calls, a watcher, stand-ins for resources, a meter.
 
-Nothing is attached on a robot. A watcher is told and changes nothing; a stand-in answers the portals of one
-resource in the place of its program, as a test of a mission wants it; a meter is told how much was computed,
-which takes time on a simulated computer too.
+On a robot only the rules of its mission are, if it has any: they say which calls must not begin. A watcher is
+told and changes nothing; a stand-in answers the portals of one resource in the place of its program, as a
+test of a mission wants it; a meter is told how much was computed, which takes time on a simulated computer.
 """
 
 from __future__ import annotations
@@ -13,6 +13,9 @@ from typing import Protocol
 
 from lfield.vm.agent import Agent
 from lfield.vm.memory.block import Block
+
+#: Why a call must not begin, '' when it may, by the ids of coordinator and resource, and the portal's index.
+Rules = Callable[[str, str, int], str]
 
 
 class Watch(Protocol):
@@ -62,9 +65,11 @@ class Asked(Protocol):
 
 @dataclass(slots=True)
 class Attached:
-    """What is attached to one machine. `stand_ins` by the ids of resources, which must not have started yet:
-    their `init` does not run, and they are open at once. `meter` is given the instructions of each turn."""
+    """What is attached to one machine. `rules` are asked before each portal begins. `stand_ins` by the ids of
+    resources, which must not have started yet: their `init` does not run, and they are open at once. `meter`
+    is given the instructions of each turn."""
 
+    rules: Rules | None = None
     watch: Watch | None = None
     meter: Callable[[int], None] | None = None
     stand_ins: dict[str, Callable[[Asked], None]] = field(default_factory=dict)

@@ -90,7 +90,7 @@ class Machine:
         self.agents = scheduler.agents
         #: Those of them whose `init` has not come to its first pause.
         self.opening = scheduler.opening
-        #: Who watches its portal calls and what it computes, and what stands in for resources.
+        #: What watches its portal calls and what it computes, refuses some, or stands in for resources.
         self.attached = scheduler.attached
         self.engine, self.layouts, self._turns = scheduler.engine, scheduler.layouts, scheduler.turns
         cancelling = self._cancelling = Cancelling(scheduler)

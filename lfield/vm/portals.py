@@ -46,7 +46,7 @@ def call(
     `reservation` is the number by which the caller has reserved it, 0 when it has not.
     """
     try:
-        resource = called(scheduler, member, caller, words[0])
+        resource = called(scheduler, member, caller, words[0], method)
     except Trap as trap:
         scheduler.refuse(caller, thread, trap.kind, trap.message, member.id)
         return
@@ -79,15 +79,18 @@ def living(scheduler: Scheduler, member: Member) -> Agent:
     return resource
 
 
-def called(scheduler: Scheduler, member: Member, caller: Agent, proxy: int) -> Agent:
+def called(scheduler: Scheduler, member: Member, caller: Agent, proxy: int, method: int) -> Agent:
     """The resource of this host that a proxy leads to, if it serves this caller; else raises Trap.
 
+    Every call comes here before its portal begins: rules are asked here, and nowhere else.
     An older copy than the newest that the resource has served is refused. A proxy that was called in another
     life of this host is told first, by an exception: the fields of its resource are lost.
     """
     resource = scheduler.agents.get(member.id)
     if resource is None or resource.ended:
         resource = living(scheduler, member)
+    if (rules := scheduler.attached.rules) is not None and (why := rules(caller.id, member.id, method)):
+        raise Trap("AccessException", why)
     w, start = caller.block.w, proxy + PROXY_START
     copy = w[W_GENERATION], w[W_SEQUENCE]
     if copy < resource.callers.get(caller.id, copy) and (why := _outdated(scheduler, resource, caller, copy)):

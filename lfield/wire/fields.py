@@ -27,6 +27,9 @@ OLDEST = 1e9
 #: The most numbers of an array of telemetry that a status shows.
 MAX_NUMBERS = 1024
 
+#: The longest revocation list, in bytes.
+MAX_LIST = 64 << 10
+
 Name = Annotated[str, Meta(min_length=1, max_length=MAX_NAME)]
 MaybeName = Annotated[str, Meta(max_length=MAX_NAME)]
 Text = Annotated[str, Meta(max_length=MAX_TEXT)]
@@ -37,6 +40,8 @@ Hash = Annotated[bytes, Meta(max_length=HASH_SIZE)]
 Index = Annotated[int, Meta(ge=0, le=2**16 - 1)]
 Label = Annotated[str, Meta(max_length=MAX_LABEL)]
 Age = Annotated[float, Meta(ge=0.0, le=OLDEST)]
+#: A time in seconds since 1970 UTC, up to the year 9999.
+Moment = Annotated[float, Meta(ge=0.0, le=2.6e11)]
 #: The value of an attribute: a number, a truth, a text, or the members of a set.
 FactValue = bool | int | float | Label | Annotated[list[Label], Meta(max_length=MAX_MEMBERS)]
 #: Where a value is from that a host tells of its agents.

@@ -16,6 +16,7 @@ from msgspec import Meta, Struct
 
 from lfield.wire.coordinators import Accepted, Ended, EndedAck, Inquire, Known, Refused
 from lfield.wire.fields import (
+    MAX_LIST,
     Age,
     Count,
     FactValue,
@@ -23,6 +24,7 @@ from lfield.wire.fields import (
     Index,
     Label,
     MaybeName,
+    Moment,
     Name,
     Ordinal,
     Text,
@@ -43,7 +45,7 @@ from lfield.wire.quorum import QuorumMessage
 from lfield.wire.reservations import ReservationMessage
 
 #: The version of everything in this package. Hosts of different versions do not talk.
-PROTOCOL = 6
+PROTOCOL = 7
 
 #: What a peer is: one of the team, or somebody who looks at it (`lfield ps`).
 Role = Literal["host", "observer"]
@@ -54,12 +56,15 @@ class Hello(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
 
     `incarnation` is a random 63-bit number drawn at process start: the same host after a restart has
     another. `memory` is the identity of its journal, which outlives restarts; 0 for a host that keeps none.
-    `program`, `deployment` and `registry` are 32-byte hashes of what all hosts of a team must have alike; an
-    observer (`lfield ps`) may leave them empty, and a program that names no capability has no registry.
+    `program`, `deployment`, `registry` and `access` are 32-byte hashes of what all hosts of a team must have
+    alike; an observer (`lfield ps`) may leave them empty, a program that names no capability has no registry,
+    and a mission without an access file no rules.
     `devices` says what those of its team are, '' where it has none.
     `max_block` is the largest block this host takes, in bytes. `recovery` says in words who decides that a
     coordinator is lost; '' where none is recovered. `origin` says in words where on the Earth its team counts
-    places from; '' where nowhere. `reservation` is how long one lasts unheard, in seconds.
+    places from; '' where nowhere. `reservation` is how long one lasts unheard, in seconds. `time` is what the
+    sender believes it is, in seconds since 1970 UTC, and `revoked` the number of its revocation list; both 0
+    where nobody has keys.
     """
 
     role: Role
@@ -70,11 +75,14 @@ class Hello(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
     max_block: Count = 0
     coordinators: Annotated[list[Known], Meta(max_length=4096)] = []
     registry: Hash = b""
+    access: Hash = b""
     devices: Literal["", "fakes", "hardware"] = ""
     memory: Count = 0
     recovery: Text = ""
     origin: Text = ""
     reservation: Age = 0.0
+    time: Moment = 0.0
+    revoked: Count = 0
 
     @property
     def remembers(self) -> int:
@@ -175,6 +183,13 @@ class Room(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag
     trouble: Text
 
 
+class Revocations(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=36):
+    """Whose certificates count no more: a list that the authority has signed, in DER. Who has an older one
+    takes it."""
+
+    list: Annotated[bytes, Meta(max_length=MAX_LIST)]
+
+
 #: Messages that share the control frame.
 Control = (
     Accepted
@@ -196,6 +211,7 @@ Control = (
     | Report
     | Heard
     | Room
+    | Revocations
     | QuorumMessage
     | ReservationMessage
 )

@@ -17,6 +17,7 @@ from lfield.wire.fields import (
     Hash,
     Label,
     MaybeName,
+    Moment,
     Name,
     Ordinal,
     Telemetry,
@@ -132,6 +133,14 @@ class JournalStatus(Struct, frozen=True, array_like=True, forbid_unknown_fields=
     parked: Annotated[list[ParkedStatus], Meta(max_length=4096)]
 
 
+class BundleStatus(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
+    """The bundle that a host runs: its digest, who has signed it ('' where nobody was asked for), and when."""
+
+    digest: Hash
+    by: Text = ""
+    at: Moment = 0.0
+
+
 class Status(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=7):
     """The answer: a host that has been `up` for so many seconds, its agents, devices and links.
 
@@ -140,7 +149,8 @@ class Status(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, t
     `silence` for how many it may give none; both None without devices. `journal` is None for a host that
     keeps nothing. `paused`: no agent runs here until the mission is resumed. For so many seconds yet its
     `lease` lets coordinators act, None where they need none. `begun` are the calls that were begun here and
-    are still to be fetched, `reserved` the resources here that coordinators have reserved.
+    are still to be fetched, `reserved` the resources here that coordinators have reserved. `bundle` is None for a
+    mission that was read from files.
     """
 
     host: Name
@@ -160,6 +170,7 @@ class Status(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, t
     paused: bool = False
     begun: Annotated[list[BegunStatus], Meta(max_length=4096)] = []
     reserved: Annotated[list[ReservedStatus], Meta(max_length=4096)] = []
+    bundle: BundleStatus | None = None
 
 
 class EmergencyStop(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=10):

@@ -32,6 +32,8 @@ from links import Link
 from storm import Storm
 from verdict import Verdict
 
+from lfield.testing.keys import Keyring
+
 PROGRAM = Path(__file__).with_name("walkers.L")
 HOSTS, NUMBERS = 4, 150
 #: Those that wait for their host, and those that go on without it; each begins on another host.
@@ -49,6 +51,7 @@ class Round:
         self._bundle, self._folder = bundle, folder
         self.verdict = Verdict(dict.fromkeys((*WALKERS, *FENCED), NUMBERS))
         self._dice = random.Random(seed)
+        self._keys = str(Keyring(folder / "keys").give(*(f"h{number}" for number in range(HOSTS))))
         self.disks = [Disk(folder / f"disk{number}") for number in range(HOSTS)]
         self.hosts: list[HostProcess] = []
         self.faults: Counter[str] = Counter()
@@ -83,6 +86,7 @@ class Round:
         maps += [f"--map=h{b}=127.0.0.1:{at}" for (a, b), at in calls.items() if a == number]
         state = str(self.disks[number].folder)
         words = ("up", str(self._bundle), "--host", name, *maps, "--state", state, *IMPATIENT)
+        words = (*words, "--keys", self._keys)
         hear = partial(self._hear, name)
         return HostProcess(name, words, self._folder / f"{name}.log", hear)
 

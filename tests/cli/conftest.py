@@ -20,6 +20,7 @@ from pathlib import Path
 import pytest
 
 from lfield.cli.main import main
+from lfield.testing.keys import Keyring
 
 ROOT = Path(__file__).parents[2]
 #: Seconds for anything that is only a matter of time on a busy machine.
@@ -34,7 +35,8 @@ class Process:
     def __init__(self, *words: str, mark: str, stdin: bool = False, **options) -> None:
         # The starts of hosts that a test starts by hand are on record in its own folder.
         state = str(options.get("cwd", tempfile.gettempdir()))
-        environment = {**os.environ, "XDG_STATE_HOME": state, MARK: mark, **options.pop("env", {})}
+        own = {"XDG_STATE_HOME": state, "XDG_CONFIG_HOME": f"{state}/config", MARK: mark}
+        environment = {**os.environ, **own, **options.pop("env", {})}
         # Where a test run is unbuffered, the commands are not: Python then loses what a pipe does not take.
         environment.pop("PYTHONUNBUFFERED", None)
         self.mark = mark
@@ -166,11 +168,13 @@ class Lfield:
         self.ports = ports
         self.mark = uuid.uuid4().hex
         self.started: list[Process] = []
+        #: Where commands look for keys: see `Process`.
+        self.keys = Keyring(folder / "config" / "lfield" / "keys")
 
     @property
     def environment(self) -> dict[str, str]:
         """What makes a process, and all it starts, one of this test."""
-        return {**os.environ, MARK: self.mark}
+        return {**os.environ, "XDG_CONFIG_HOME": f"{self.folder}/config", MARK: self.mark}
 
     def start(self, *words: object, **options) -> Process:
         """A command that goes on."""
@@ -206,7 +210,8 @@ class Lfield:
         return {name: self.start(*words, "--host", name, **more) for name in names}
 
     def maps(self, names: list[str]) -> list[str]:
-        """`--map` options that put the hosts on free ports of this machine."""
+        """`--map` options that put the hosts on free ports of this machine; they get keys for their links."""
+        self.keys.give(*names)
         pairs = zip(names, self.ports.take(len(names)), strict=True)
         return [word for name, port in pairs for word in ("--map", f"{name}=127.0.0.1:{port}")]
 
@@ -271,6 +276,7 @@ def here(
 ) -> Callable[..., Said]:
     """`here(*words)`: a command in this process, in the folder of `lfield`: one more would add nothing."""
     monkeypatch.chdir(lfield.folder)
+    monkeypatch.setenv("XDG_CONFIG_HOME", f"{lfield.folder}/config")
 
     def run(*words: object) -> Said:
         status = main([str(word) for word in words])

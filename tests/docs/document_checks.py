@@ -24,7 +24,7 @@ from lfield.driver.binding import SIMULATED, DeviceBinding
 from lfield.driver.plugins import discover
 from lfield.errors import BindingError, LfieldError, ProgramError
 from lfield.lang.deployment import read_deployment
-from lfield.mission.load import compile_file, load_mission
+from lfield.mission.load import ACCESS, compile_file, load_mission
 from lfield.mission.one_device import devices_in_file
 from lfield.operator.doctor import Finding, endpoints
 
@@ -105,6 +105,8 @@ def yaml(block: Block, folder: Path) -> Problems:
         return unreadable
     if re.search(r"^registry:", text, re.MULTILINE):
         return [finding.render() for finding in check_files(mission=path)[1]]
+    if path.name.endswith(ACCESS):
+        return sentences(lambda: load_mission(path.with_name(path.name.replace(ACCESS, ".dL"))))
     devices: list[DeviceBinding] = []
     problems = sentences(lambda: devices.extend(_bound(path)))
     return problems if words[:1] == ["options"] else problems + opened(devices)

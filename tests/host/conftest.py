@@ -60,6 +60,7 @@ class Fleet:
         name: str = "mission",
         *,
         capabilities: str = "",
+        access: str = "",
         simulate: bool = False,
     ) -> Mission:
         """Write the files of a mission and read them as `lfield up` does."""
@@ -69,6 +70,7 @@ class Fleet:
             ".dL": deployment,
             ".devices.yaml": devices,
             ".capabilities.yaml": capabilities,
+            ".access.yaml": access,
         }
         for ending, text in files.items():
             if text:

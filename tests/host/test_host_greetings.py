@@ -6,6 +6,8 @@ import asyncio
 
 import msgspec
 
+from lfield.authority.identity import ALL, NONE, Identity
+from lfield.simulate import network
 from lfield.wire.messages import Hello, Refuse
 from lfield.wire.observing import Status, StatusRequest
 
@@ -172,18 +174,24 @@ async def calls(team, address, hello):
     return caller.heard[-1]
 
 
-def test_at_the_door_for_commands_a_host_takes_observers_only(fleet):
+def test_a_user_of_this_computer_gives_commands_and_is_no_host(fleet, monkeypatch):
+    """What the kernel says of whoever calls at a Unix socket; here the network says it."""
+
     async def story(team):
         mission = team.mission(PROGRAM, DEPLOYMENT)
         (alpha,) = await team.up(mission, "alpha", door="alpha:1")
+        monkeypatch.setattr(network, "resident", lambda _: Identity("local", "bob", ALL))
         assert isinstance(await calls(team, "alpha:1", Hello("observer", "observer", 0)), Status)
         known = alpha.host.hello()
         bravo = msgspec.structs.replace(known, host="bravo", incarnation=7)
         refused = await calls(team, "alpha:1", bravo)
         assert isinstance(refused, Refuse)
-        assert refused.reason == "alpha takes hosts at its address; this socket is for commands"
-        assert _told(alpha, "this socket is for commands")
+        assert "and user bob of this computer only gives commands" in refused.reason
+        assert _told(alpha, "only gives commands")
         assert "bravo" not in alpha.host.peers.incarnations
+        monkeypatch.setattr(network, "resident", lambda _: Identity("local", "bob", NONE))
+        refused = await calls(team, "alpha:1", Hello("observer", "observer", 0))
+        assert "user bob of this computer may nothing here" in refused.reason
 
     fleet(story)
 

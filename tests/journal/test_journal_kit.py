@@ -17,6 +17,7 @@ from lfield.errors import JournalError
 from lfield.journal.journal import Change, Journal
 from lfield.journal.pages import (
     BegunPage,
+    BundlePage,
     CopyPage,
     Fence,
     Key,
@@ -37,6 +38,7 @@ PAGES: tuple[Page, ...] = (
     BegunPage("scout", 3, 8, "arm", "lift", "done", bytes(300), b"\1" * 32),
     Starts(3),
     Run(True),
+    BundlePage(b"\2" * 32),
     Paused(True),
     Stopped("the emergency stop was pressed: fog"),
     Fence("scout", 2),

@@ -9,6 +9,7 @@ from pathlib import Path
 import msgspec
 import pytest
 
+from lfield.authority.identity import NONE, Identity
 from lfield.bytecode import encoding
 from lfield.capability.reading.reader import read_registry
 from lfield.driver.plugins import discover
@@ -110,6 +111,9 @@ def test_a_dump_with_one_bit_flipped_is_refused_wherever_the_bit_is() -> None:
             dump.decode(data[:size])
 
 
+ALPHA = Identity("host", "alpha", NONE)
+
+
 @pytest.mark.parametrize("path", GREETINGS, ids=lambda path: path.name)
 def test_a_host_of_another_release_is_told_both_versions(path: Path) -> None:
     ((kind, payload),) = FrameDecoder(dict.fromkeys(range(256), 1 << 16)).feed(path.read_bytes())
@@ -118,7 +122,7 @@ def test_a_host_of_another_release_is_told_both_versions(path: Path) -> None:
     with pytest.raises(
         GreetingError, match=f"bravo speaks protocol {PROTOCOL} and its peer protocol 3"
     ) as told:
-        Greeting(Hello("host", "bravo", 1), hosts=("alpha", "bravo")).receive(message)
+        Greeting(Hello("host", "bravo", 1), ALPHA, hosts=("alpha", "bravo")).receive(message)
     assert len(str(told.value)) < MAX_TEXT
 
 

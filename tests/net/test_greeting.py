@@ -2,11 +2,13 @@
 
 import pytest
 
+from lfield.authority.identity import ALL, NONE, STRANGER, Identity, Right
+from lfield.authority.judge import Verdict
 from lfield.errors import GreetingError, WireError
 from lfield.net.greeting import Greeting
-from lfield.wire.coordinators import Accepted
-from lfield.wire.messages import ForeignHello, Hello, Ping, Refuse
-from lfield.wire.observing import StatusRequest
+from lfield.wire.coordinators import Accepted, Ended
+from lfield.wire.messages import ForeignHello, Hello, Ping, Refuse, Revocations
+from lfield.wire.observing import EmergencyStop, Forget, Pause, Recover, Status, StatusRequest
 
 PROGRAM, DEPLOYMENT, REGISTRY = b"p" * 32, b"d" * 32, b"r" * 32
 HOSTS = ("a", "b", "c")
@@ -18,8 +20,47 @@ def hello(host: str = "b", **other) -> Hello:
     return Hello(host=host, **fields)
 
 
-def greeting(dialled: str | None = None, linked: dict[str, int] | None = None) -> Greeting:
-    return Greeting(hello("a", incarnation=1), hosts=HOSTS, dialled=dialled, linked=linked)
+def host(name: str) -> Identity:
+    return Identity("host", name, NONE)
+
+
+def person(*may: Right) -> Identity:
+    return Identity("person", "anna", frozenset(may))
+
+
+def local(*may: Right) -> Identity:
+    return Identity("local", "bob", frozenset(may))
+
+
+LOOK = Hello("observer", "observer", 0)
+
+
+def greeting(
+    dialled: str | None = None,
+    linked: dict[str, int] | None = None,
+    who: Identity = host("b"),  # noqa: B008
+    verdict: Verdict = Verdict("all"),  # noqa: B008
+) -> Greeting:
+    own = hello("a", incarnation=1)
+    return Greeting(own, who, verdict=verdict, hosts=HOSTS, dialled=dialled, linked=linked)
+
+
+def refused(machine: Greeting, message: object = None) -> str:
+    """Why a message is refused, the first or a later one; '' if it is not."""
+    try:
+        machine.begin()
+        if message is not None:
+            machine.receive(message) if machine.peer is None else machine.admit(message)
+    except GreetingError as error:
+        return machine.refusal.reason if machine.refusal else str(error)
+    return ""
+
+
+def looking(who: Identity, verdict: Verdict = Verdict("all")) -> Greeting:  # noqa: B008
+    """Somebody who looks has greeted."""
+    machine = greeting(who=who, verdict=verdict)
+    assert refused(machine, LOOK) == ""
+    return machine
 
 
 def test_a_host_of_the_deployment_is_let_in():
@@ -30,15 +71,101 @@ def test_a_host_of_the_deployment_is_let_in():
         machine.admit(Accepted("Tour:one", 1, 1))
 
 
-def test_where_only_observers_are_let_in():
-    machine = Greeting(hello("a", incarnation=1), hosts=HOSTS, observers_only=True)
-    with pytest.raises(GreetingError, match="a takes hosts at its address; this socket is for commands"):
-        machine.receive(hello())
+def test_a_stranger_hears_nothing():
+    machine = greeting(who=STRANGER)
+    assert "nobody here knows who this is" in refused(machine)
     assert machine.peer is None
-    assert isinstance(machine.refusal, Refuse)
-    observer = Hello("observer", "observer", 0)
-    machine = Greeting(hello("a", incarnation=1), hosts=HOSTS, observers_only=True)
-    assert machine.receive(observer) == observer
+
+
+def test_whoever_is_not_to_have_a_link_hears_only_why():
+    machine = greeting(verdict=Verdict("nothing", "the keys of host b are revoked (list 3)"))
+    assert refused(machine) == "the keys of host b are revoked (list 3)"
+
+
+def test_a_host_is_who_its_certificate_says():
+    why = refused(greeting(who=host("c")), hello("b"))
+    assert why.startswith(
+        "host c calls itself b; the name in its certificate must be its name in the deploym"
+    )
+    assert refused(greeting(who=host("b")), hello("b")) == ""
+
+
+@pytest.mark.parametrize(
+    ("who", "name"), [(person(*ALL), "anna"), (local(*ALL), "user bob of this computer")]
+)
+def test_who_gives_commands_is_no_host(who, name):
+    why = refused(greeting(who=who), hello("b"))
+    assert why == f"a takes hosts by their certificates, and {name} only gives commands"
+
+
+STOP, LIFT, PAUSE, RESUME = EmergencyStop("fire"), EmergencyStop("", True), Pause(), Pause(True)
+OPERATING = [LIFT, RESUME, Forget("tom"), Recover("tom", 1, 1, 1)]
+TABLE = [(StatusRequest(), Right.OBSERVE), (STOP, Right.STOP), (PAUSE, Right.STOP)]
+TABLE += [(message, Right.OPERATE) for message in OPERATING]
+
+
+@pytest.mark.parametrize(("message", "right"), TABLE, ids=lambda case: str(case)[:14])
+def test_each_message_takes_its_right_and_no_other(message, right):
+    for make in (person, local):
+        assert refused(looking(make(right)), message) == ""
+        others = ALL - {right}
+        why = refused(looking(make(*others)), message)
+        assert f"and this takes the right to {right}" in why
+    assert refused(looking(person(*ALL)), message) == ""
+
+
+def test_the_right_that_is_missing_is_named_with_what_to_do():
+    assert refused(looking(person(Right.OBSERVE, Right.STOP)), LIFT) == (
+        "anna may observe and stop, and this takes the right to operate: "
+        "'lfield keys person anna --may operate' gives it"
+    )
+    assert refused(looking(local(Right.OBSERVE)), STOP) == (
+        "user bob of this computer may observe, and this takes the right to stop: "
+        "the user who runs the host has it, and root"
+    )
+    assert "anna may do nothing, and this takes" in refused(looking(person()), StatusRequest())
+
+
+def test_who_may_nothing_at_a_door_does_not_even_hear_a_greeting():
+    why = refused(greeting(who=local()))
+    assert why.startswith("user bob of this computer may nothing here: join the group 'lfield'")
+
+
+def test_a_host_that_looks_may_stop_others_and_no_more():
+    machine = looking(host("b"))
+    assert [refused(machine, message) for message in (StatusRequest(), STOP, PAUSE)] == ["", "", ""]
+    for message in OPERATING:
+        assert "a person has it, not a host" in refused(looking(host("b")), message)
+
+
+def test_whoever_is_only_let_finish_may_look_and_stop():
+    verdict = Verdict("finish", "the certificate of anna ended 2026-11-23 20:00 UTC")
+    assert refused(looking(person(*ALL), verdict), STOP) == ""
+    assert refused(looking(person(*ALL), verdict), StatusRequest()) == ""
+    why = refused(looking(person(*ALL), verdict), LIFT)
+    assert why == f"{verdict.why}; until then anna may only look and stop"
+
+
+STATUS = Status("b", "", 0.0, b"", b"", [], [], [], [], [])
+
+
+@pytest.mark.parametrize("message", [Accepted("t:one", 1, 1), Ended("t", 1, "done", "", "a"), STATUS])
+@pytest.mark.parametrize("who", [person(*ALL), local(*ALL), host("b")], ids=["person", "local", "host"])
+def test_what_only_hosts_say_no_observer_says(message, who):
+    assert "which only hosts say to one another" in refused(looking(who), message)
+
+
+def test_anybody_known_may_bring_a_revocation_list():
+    assert refused(looking(person()), Revocations(b"")) == ""
+
+
+def test_a_command_asks_the_host_that_it_means():
+    for who in (host("b"), local(*ALL)):
+        assert refused(Greeting(LOOK, who, dialled="b"), hello("b")) == ""
+    assert "b answered at the address of c" in refused(Greeting(LOOK, host("b"), dialled="c"), hello("b"))
+    assert "host c calls itself b" in refused(Greeting(LOOK, host("c"), dialled="c"), hello("b"))
+    assert "anna only gives commands" in refused(Greeting(LOOK, person(*ALL)), hello("b"))
+    assert "nobody here knows who this is" in refused(Greeting(LOOK, STRANGER))
 
 
 def test_the_same_life_may_have_a_second_link():
@@ -48,8 +175,8 @@ def test_the_same_life_may_have_a_second_link():
 @pytest.mark.parametrize(
     ("message", "sentence"),
     [
-        (ForeignHello(7), "a speaks protocol 6 and its peer protocol 7; install the same version"),
-        (ForeignHello(3), "a speaks protocol 6 and its peer protocol 3; install the same version"),
+        (ForeignHello(8), "a speaks protocol 7 and its peer protocol 8; install the same version"),
+        (ForeignHello(3), "a speaks protocol 7 and its peer protocol 3; install the same version"),
         (hello(program=b"q" * 32), "a has program 707070707070 and b has program 717171717171"),
         (hello(deployment=b"q" * 32), "a has deployment 646464646464 and b has deployment 7171"),
         (hello(registry=b"q" * 32), "a has registry 727272727272 and b has registry 7171"),
@@ -63,13 +190,13 @@ def test_the_same_life_may_have_a_second_link():
     ],
 )
 def test_who_does_not_fit_is_told_why(message, sentence):
-    machine = greeting(dialled="b")
+    machine = greeting(dialled="b", who=host(getattr(message, "host", "b")))
     with pytest.raises(GreetingError, match=sentence) as caught:
         machine.receive(message)
     assert machine.refusal is not None
     assert machine.refusal.reason in str(caught.value)
     assert machine.peer is None
-    theirs = Greeting(hello("b"), hosts=HOSTS, dialled="a")
+    theirs = Greeting(hello("b"), host("a"), hosts=HOSTS, dialled="a")
     with pytest.raises(GreetingError, match=sentence) as told:
         theirs.receive(machine.refusal)
     assert str(told.value).startswith("a refused this host: ")
@@ -78,7 +205,7 @@ def test_who_does_not_fit_is_told_why(message, sentence):
 
 @pytest.mark.parametrize(("ours", "theirs"), [("fakes", "hardware"), ("hardware", "fakes")])
 def test_fakes_do_not_join_hardware(ours, theirs):
-    machine = Greeting(hello("a", devices=ours), hosts=HOSTS)
+    machine = Greeting(hello("a", devices=ours), host("b"), hosts=HOSTS)
     sentence = f"the devices of a are {ours} and those of b are {theirs}; start both with --sim, or none"
     with pytest.raises(GreetingError, match=sentence):
         machine.receive(hello(devices=theirs))
@@ -88,39 +215,39 @@ def test_fakes_do_not_join_hardware(ours, theirs):
 
 @pytest.mark.parametrize("theirs", ["", "fakes", "hardware"])
 def test_a_team_without_devices_and_an_observer_join_either(theirs):
-    Greeting(hello("a"), hosts=HOSTS).receive(hello(devices=theirs))
-    Greeting(hello("a", devices=theirs), hosts=HOSTS).receive(hello())
+    Greeting(hello("a"), host("b"), hosts=HOSTS).receive(hello(devices=theirs))
+    Greeting(hello("a", devices=theirs), host("b"), hosts=HOSTS).receive(hello())
     observer = hello("ps", role="observer", program=b"", deployment=b"", registry=b"")
-    Greeting(hello("a", devices=theirs), hosts=HOSTS).receive(observer)
-    Greeting(observer).receive(hello(devices=theirs))
+    Greeting(hello("a", devices=theirs), host("b"), hosts=HOSTS).receive(observer)
+    Greeting(observer, host("b")).receive(hello(devices=theirs))
 
 
 def test_who_counts_places_from_elsewhere_is_refused():
     ours, theirs = "47.3977420, 8.5455940 at 488.00 m", "47.0000000, 8.0000000 at 400.00 m"
     for mine, yours in ((ours, theirs), (ours, ""), ("", theirs)):
-        machine = Greeting(hello("a", origin=mine), hosts=HOSTS)
+        machine = Greeting(hello("a", origin=mine), host("b"), hosts=HOSTS)
         with pytest.raises(GreetingError, match=r"give both the same 'frame: \{origin") as told:
             machine.receive(hello(origin=yours))
         assert f"a counts places from {mine or 'each home'} and b from {yours or 'each home'}" in str(
             told.value
         )
-    Greeting(hello("a", origin=ours), hosts=HOSTS).receive(hello(origin=ours))
-    Greeting(hello("a", origin=ours), hosts=HOSTS).receive(hello("ps", role="observer"))
+    Greeting(hello("a", origin=ours), host("b"), hosts=HOSTS).receive(hello(origin=ours))
+    Greeting(hello("a", origin=ours), host("b"), hosts=HOSTS).receive(hello("ps", role="observer"))
 
 
 def test_two_majorities_of_different_members_need_not_meet():
     ours, theirs = "a lease of 2 s among a, b and c", "a lease of 2 s among a, b and d"
     for mine, yours in ((ours, theirs), (ours, ""), ("", theirs)):
-        machine = Greeting(hello("a", recovery=mine), hosts=HOSTS)
+        machine = Greeting(hello("a", recovery=mine), host("b"), hosts=HOSTS)
         with pytest.raises(
             GreetingError, match="give both the same 'recovery' in their devices files"
         ) as told:
             machine.receive(hello(recovery=yours))
         assert f"a recovers coordinators by {mine or 'nobody'}" in str(told.value)
         assert f"b by {yours or 'nobody'}" in str(told.value)
-    Greeting(hello("a", recovery=ours), hosts=HOSTS).receive(hello(recovery=ours))
-    Greeting(hello("a", recovery=ours), hosts=HOSTS).receive(hello("ps", role="observer"))
-    Greeting(hello("ps", role="observer")).receive(hello(recovery=theirs))
+    Greeting(hello("a", recovery=ours), host("b"), hosts=HOSTS).receive(hello(recovery=ours))
+    Greeting(hello("a", recovery=ours), host("b"), hosts=HOSTS).receive(hello("ps", role="observer"))
+    Greeting(hello("ps", role="observer"), host("b")).receive(hello(recovery=theirs))
 
 
 def test_a_second_host_of_a_name_is_refused_while_the_first_is_linked():
@@ -143,19 +270,11 @@ def test_nothing_comes_before_the_greeting_nor_a_second_one_after():
         machine.admit(hello())
 
 
-def test_an_observer_may_look_and_no_more():
-    observer = hello("ps", role="observer", program=b"", deployment=b"", registry=b"")
-    machine = greeting()
-    assert machine.receive(observer) == observer
-    machine.admit(StatusRequest())
-    machine.admit(Ping(1))
-    with pytest.raises(WireError, match="an observer sent a Accepted"):
-        machine.admit(Accepted("Tour:one", 1, 1))
-
-
 def test_an_observer_takes_any_host_and_names_the_deployment_it_wants():
-    Greeting(hello("ps", role="observer", program=b"", deployment=b"", registry=b"")).receive(hello())
-    picky = Greeting(hello("ps", role="observer", program=b"", deployment=b"x" * 32, registry=b""))
+    Greeting(hello("ps", role="observer", program=b"", deployment=b"", registry=b""), host("b")).receive(
+        hello()
+    )
+    picky = Greeting(hello("ps", role="observer", program=b"", deployment=b"x" * 32, registry=b""), host("b"))
     with pytest.raises(GreetingError, match="ps has deployment 7878"):
         picky.receive(hello())
 
@@ -166,8 +285,8 @@ def test_a_refusal_is_shown_without_knowing_who_sent_it():
 
 
 def test_who_renews_too_seldom_for_others_loses_what_it_has():
-    machine = Greeting(hello("a", reservation=6.0), hosts=HOSTS)
+    machine = Greeting(hello("a", reservation=6.0), host("b"), hosts=HOSTS)
     with pytest.raises(GreetingError, match=r"a last 6 s unheard and those of b 20 s; give both the same"):
         machine.receive(hello(reservation=20.0))
-    Greeting(hello("a", reservation=6.0), hosts=HOSTS).receive(hello(reservation=6.0))
-    Greeting(hello("a", reservation=6.0), hosts=HOSTS).receive(hello("ps", role="observer"))
+    Greeting(hello("a", reservation=6.0), host("b"), hosts=HOSTS).receive(hello(reservation=6.0))
+    Greeting(hello("a", reservation=6.0), host("b"), hosts=HOSTS).receive(hello("ps", role="observer"))

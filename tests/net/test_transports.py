@@ -2,19 +2,27 @@
 
 import asyncio
 import errno
+import os
+import pwd
 import socket
 import tempfile
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
+from certificates import Team
 
+from lfield.authority.identity import ALL
 from lfield.clock import ManualClock
-from lfield.errors import AddressError, WireError
+from lfield.errors import AddressError, GreetingError, WireError
+from lfield.net.door import local
 from lfield.net.tcp import TcpTransport, refusal
+from lfield.net.tls import Tls
 from lfield.net.transport import join_address, split_address
 from lfield.simulate.network import MemoryNetwork
 from lfield.testing.transport_kit import MAX_BLOCK, Pair, Recorder, TransportKit, transfer
-from lfield.wire.messages import Ping
+from lfield.wire.codec import encode
+from lfield.wire.messages import Hello, Ping
 
 PATIENCE = 10.0
 
@@ -112,6 +120,27 @@ class TestTcp(TransportKit):
         return tcp
 
 
+class TlsBench(TcpBench):
+    """The same where both ends prove who they are: one certificate will do for two hosts of a test."""
+
+    def __init__(self, loop: asyncio.AbstractEventLoop, **options) -> None:
+        team = Team()
+        super().__init__(loop, tls=Tls(team.host("alpha")), **options)
+
+
+@pytest.fixture(params=["asyncio", "uvloop"])
+def tls(request):
+    bench = TlsBench(new_loop(request.param))
+    yield bench
+    bench.close()
+
+
+class TestTls(TransportKit):
+    @pytest.fixture
+    def bench(self, tls):
+        return tls
+
+
 class UnixBench(TcpBench):
     """The same transport at Unix sockets, each with a path of its own."""
 
@@ -157,6 +186,98 @@ def test_a_path_that_will_not_do(unix):
     for address, words in [("unix:here", "unix:/PATH"), (f"unix:/{'x' * 200}", "AF_UNIX path too long")]:
         with pytest.raises(AddressError, match=words):
             unix.wait(unix.listen(address, lambda link: Recorder()))
+
+
+@pytest.mark.parametrize(
+    ("user", "groups", "rights"),
+    [
+        (1000, (), ["command", "observe", "operate", "stop"]),
+        (0, (), ["command", "observe", "operate", "stop"]),
+        (1001, (1001, 700), ["observe", "stop"]),
+        (1001, (1001,), []),
+    ],
+)
+def test_what_a_user_of_this_computer_may(user, groups, rights):
+    who = local(user, groups, 1000, 700)
+    assert (who.kind, sorted(who.may)) == ("local", rights)
+    assert local(user, groups, 1000, None).may == (who.may if user != 1001 else frozenset())
+
+
+def test_the_kernel_says_who_calls_at_a_door(unix):
+    pair = Pair(unix)
+    for link in (pair.link, pair.far.link):
+        assert (link.who.kind, link.who.may) == ("local", ALL)
+        assert link.who.name == pwd.getpwuid(os.geteuid()).pw_name
+
+
+# TLS alone
+
+
+def test_whoever_calls_knows_at_once_who_is_there(tls):
+    pair = Pair(tls)
+    assert str(pair.link.who) == "host alpha"
+    pair.link.send(Ping(1))
+    tls.until(lambda: pair.far.heard)
+    assert str(pair.far.link.who) == "host alpha"
+
+
+def test_two_authorities_have_no_link():
+    loop = new_loop("asyncio")
+    ours, theirs = TlsBench(loop), TlsBench(loop)
+    called, near = Recorder(), Recorder()
+    listener = ours.wait(ours.listen("127.0.0.1:0", lambda _: called))
+    with pytest.raises(GreetingError, match="its certificate is not signed by the authority of this team"):
+        theirs.wait(theirs.connect(listener.address, near))
+    ours.until(lambda: called.ends)
+    assert "it does not take the certificate shown to it" in str(called.ends[0])
+    assert near.ends == near.heard == called.heard == []
+    listener.close()
+    loop.close()
+
+
+def test_a_stranger_who_comes_and_goes_is_told_nothing(tls):
+    called = Recorder()
+    listener = tls.wait(tls.tcp.listen("127.0.0.1:0", lambda _: called))
+    for data in (b"", b"GET / HTTP/1.1\r\n\r\n", encode(Hello("observer", "me", 0))):
+        called.ends.clear()
+        with socket.create_connection(split_address(listener.address)) as raw:
+            raw.sendall(data)
+            raw.shutdown(socket.SHUT_WR)
+            tls.until(lambda: called.ends)
+            raw.settimeout(PATIENCE)
+            with suppress(ConnectionResetError):
+                assert raw.recv(1) == b""
+    assert called.heard == []
+    listener.close()
+
+
+def test_whoever_never_answers_is_given_up():
+    bench = TlsBench(new_loop("asyncio"), connect_timeout=0.1)
+    near = Recorder()
+    with socket.create_server(("127.0.0.1", 0)) as deaf:
+        address = join_address(*deaf.getsockname())
+        with pytest.raises(AddressError, match="no answer within"):
+            bench.wait(bench.connect(address, near))
+    bench.wait(asyncio.sleep(0))
+    assert near.ends == []
+    bench.close()
+
+
+def test_whoever_hangs_up_in_the_handshake_is_no_link():
+    bench = TlsBench(new_loop("asyncio"))
+
+    async def hangs_up(reader, writer):
+        await reader.read(1)
+        writer.close()
+
+    server = bench.wait(asyncio.start_server(hangs_up, "127.0.0.1", 0))
+    near = Recorder()
+    with pytest.raises(AddressError, match=r"closed the connection|was lost"):
+        bench.wait(bench.connect(join_address(*server.sockets[0].getsockname()), near))
+    assert near.ends == []
+    server.close()
+    bench.wait(server.wait_closed())
+    bench.close()
 
 
 # TCP alone

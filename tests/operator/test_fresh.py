@@ -14,7 +14,7 @@ from lfield.clock import ManualClock
 from lfield.errors import AddressError, CoordinatorAlive, UsageError
 from lfield.journal.file import FileJournal
 from lfield.journal.opening import Owner
-from lfield.journal.pages import CopyPage, Fence, Run, Starts
+from lfield.journal.pages import BundlePage, CopyPage, Fence, Run, Starts
 from lfield.operator.ask import STATUS
 from lfield.operator.fresh import WORD, anew
 from lfield.wire.coordinators import Known
@@ -32,10 +32,12 @@ def status(*known: Known, parked: tuple[ParkedStatus, ...] = ()) -> Status:
 
 
 def test_what_is_here_ends_as_lost_by_a_persons_word_and_the_run_is_closed():
-    found = anew("alpha", [Starts(3), Run(True), HERE, OVER, Fence("pilot", 2)], {})
+    pages = [Starts(3), Run(True), BundlePage(b"b" * 32), HERE, OVER, Fence("pilot", 2)]
+    found = anew("alpha", pages, {})
     assert (found.thrown, found.away) == ([HERE], [])
-    ended, run = found.pages
-    assert run == Run(open=False)
+    ended, run, bundle = found.pages
+    # Whoever begins anew is told again when the bundle is not signed by somebody who may.
+    assert (run, bundle) == (Run(open=False), BundlePage(b""))
     assert (ended.agent, ended.generation, ended.sequence) == ("pilot", 3, 4)
     assert (ended.state, ended.outcome, ended.detail, ended.ended_on) == ("EXITED", "lost", WORD, "alpha")
     assert ended.block == b""

@@ -26,6 +26,9 @@ TABLES: dict[str, str] = {
 }
 #: Shorter than others, each one idea that nothing else is about.
 SMALL = {
+    "lfield/authority/rights.py": "a table: which message takes which right",
+    "lfield/authority/keys.py": "keys as bytes, and the names of their files",
+    "lfield/authority/minted.py": "keys of one run, in memory",
     "lfield/host/team/absent.py": "whom nobody waits for",
     "lfield/text/visible.py": "what may reach a terminal",
     "lfield/wire/fields.py": "types of fields, a table",

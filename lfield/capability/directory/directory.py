@@ -12,11 +12,12 @@ stopped renewing, and all values of a host that was away until it has told every
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
 
 from msgspec import Struct
+from msgspec.structs import replace
 
 from lfield.capability.directory.news import SILENCE, Announcer, Condition, News, Sample, Trouble
 from lfield.capability.directory.showing import Deployed, known_agents, live_attributes, place_of
@@ -72,7 +73,12 @@ class _Shown(Struct, frozen=True, gc=False):
     condition: Condition
     away: float | None
     own: bool
+    barred: Mapping[str, str]
     until: float
+
+
+#: Of agents that whoever asks may call by all their portals.
+NOTHING: Mapping[str, str] = {}
 
 
 class Directory:
@@ -104,6 +110,8 @@ class Directory:
         self._known = known_agents(registry, agents)
         self._live = {agent.id: live_attributes(registry, agent) for agent in self._agents.values()}
         self.asker = ""
+        #: By primitive why an asker may not call an agent for it, by their ids; None where all may call all.
+        self.barred: Callable[[str, str], Mapping[str, str]] | None = None
         self._own: dict[str, Condition] = {}
         self._shown: dict[str, _Shown] = {}
         self._announcer = Announcer(registry.attributes, life)
@@ -197,17 +205,27 @@ class Directory:
     def _candidate(self, agent: Deployed, seen: _Seen, now: float) -> Candidate:
         condition, away = seen.conditions.get(agent.id, SILENCE), seen.away
         own = condition.reserved is not None and condition.reserved.holder == self.asker
+        barred = NOTHING if self.barred is None else self.barred(self.asker, agent.id)
         shown = self._shown.get(agent.id)
         if (
             shown is None
             or shown.condition is not condition
-            or (shown.away, shown.own) != (away, own)
+            or (shown.away, shown.own, shown.barred) != (away, own, barred)
             or now >= shown.until
         ):
-            shown = self._shown[agent.id] = self._show(agent, condition, seen, now, own=own)
+            shown = self._shown[agent.id] = self._show(agent, condition, seen, now, barred, own=own)
         return shown.candidate
 
-    def _show(self, agent: Deployed, condition: Condition, seen: _Seen, now: float, *, own: bool) -> _Shown:
+    def _show(
+        self,
+        agent: Deployed,
+        condition: Condition,
+        seen: _Seen,
+        now: float,
+        barred: Mapping[str, str],
+        *,
+        own: bool,
+    ) -> _Shown:
         known, told, away = self._known[agent.id], {}, seen.away
         trouble = condition.trouble if away is None else Trouble("unreachable", away)
         if condition.samples:
@@ -215,8 +233,10 @@ class Directory:
         why = trouble or (None if own else condition.reserved)
         refusal = why.sentence(now) if why else ""
         candidate = known.shown(seen.hops, refusal, told, condition.unknown, "{1} has not told {0} yet")
+        if barred:
+            candidate = replace(candidate, barred=barred)
         passing = why or (told and known.measured)
-        return _Shown(candidate, condition, away, own, now + MOMENT if passing else math.inf)
+        return _Shown(candidate, condition, away, own, barred, now + MOMENT if passing else math.inf)
 
 
 def _with_ages(samples: Mapping[str, Sample], kept_until: float, now: float) -> dict[str, Fact]:

@@ -53,13 +53,16 @@ class Provided:
 
     def plans(self, candidates: Iterable[Candidate], asked: Asked) -> list[Plan]:
         """Of the candidates that can do it now."""
-        found = [self.plan(candidate, asked) for candidate in candidates if not candidate.refusal]
+        able = (c for c in candidates if not c.refusal and self.primitive not in c.barred)
+        found = [self.plan(candidate, asked) for candidate in able]
         return list(fulfilling(found, self._judges)) if self._judges else found
 
     def refusal(self, candidate: Candidate, asked: Asked) -> tuple[str, ...]:
         """Why a candidate cannot do it whatever is wished; () when it can."""
         if candidate.refusal:
             return (candidate.refusal,)
+        if why := candidate.barred.get(self.primitive):
+            return (why,)
         if self._when is None:
             return ()
         plan = self.plan(candidate, asked)

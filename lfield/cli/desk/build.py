@@ -123,8 +123,8 @@ def _write_inputs(args: argparse.Namespace, watch: Watch) -> None:
     import msgspec
 
     from lfield.capability.reading.reader import shipped_folder
-    from lfield.mission.load import CAPABILITIES, DEVICES
+    from lfield.mission.load import ACCESS, CAPABILITIES, DEVICES
 
-    looked_for = [args.file.with_suffix(suffix) for suffix in (CAPABILITIES, DEVICES)]
+    looked_for = [args.file.with_suffix(suffix) for suffix in (ACCESS, CAPABILITIES, DEVICES)]
     inputs = watch.inputs([*looked_for, shipped_folder()], args.inputs.parent)
     args.inputs.write_bytes(msgspec.msgpack.encode(inputs))

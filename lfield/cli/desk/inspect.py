@@ -120,6 +120,10 @@ def _show_mission(file: Path) -> int:
         data = bundle.encode(mission)
     found = bundle.contents(data)
     print(f"bundle    {found.digest.hex()[:16]} of {mission.name}")
+    if found.signature:
+        print(
+            f"          {'signature':<9}{len(found.signature):>9} bytes, which a host holds against its keys"
+        )
     for part in found.table:
         print(f"          {part.name:<9}{part.size:>9} bytes  {part.digest.hex()[:16]}")
     for number, host in enumerate(mission.team.hosts):

@@ -13,18 +13,25 @@ from lfield.errors import CoordinatorAlive, LfieldError, UsageError
 if TYPE_CHECKING:
     from lfield.journal.opening import Owner
     from lfield.journal.pages import CopyPage
+    from lfield.net.tls import Tls
     from lfield.operator.ask import Answers
     from lfield.operator.fresh import Anew
     from lfield.wire.observing import Forgotten
 
 
 def begun_anew(
-    file: Path, owner: Owner, others: Mapping[str, str], tell: Callable[[str], None], *, yes: bool
+    file: Path,
+    owner: Owner,
+    others: Mapping[str, str],
+    tell: Callable[[str], None],
+    tls: Tls | None,
+    *,
+    yes: bool,
 ) -> bool:
     """Whether the journal was made ready for a new run; False when the person does not want it.
 
-    `others` are the addresses of the other hosts by name; `tell` takes lines for people. Raises JournalError,
-    CoordinatorAlive, UsageError.
+    `others` are the addresses of the other hosts by name, who are asked with `tls`; `tell` takes lines for
+    people. Raises JournalError, CoordinatorAlive, UsageError.
     """
     import asyncio
 
@@ -37,7 +44,7 @@ def begun_anew(
     journal = FileJournal(file, owner, tell, SystemClock())
     try:
         pages = journal.pages()
-        answers = asyncio.run(ask_all(observer(), others, STATUS)) if left(pages) else {}
+        answers = asyncio.run(ask_all(observer(tls), others, STATUS)) if left(pages) else {}
         found = anew(owner.host, pages, answers)
         if found.away:
             raise CoordinatorAlive(_in_the_way(found.away))
@@ -45,7 +52,7 @@ def begun_anew(
             return False
         # First: what is not given up there is not thrown away here.
         for page, where in found.parked.items():
-            word = ask_all(observer(), {where: others[where]}, forget(page.agent))
+            word = ask_all(observer(tls), {where: others[where]}, forget(page.agent))
             _insist_on_an_answer(page.agent, asyncio.run(word))
         loop.run(journal.keep(found.pages))
         return True

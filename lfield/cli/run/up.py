@@ -17,6 +17,9 @@ from lfield import exits
 from lfield.cli.mission_argument import add_mission, mission_path, setup_command
 from lfield.errors import DevicesError, OutputFileError, UsageError
 
+#: Seconds that a mission may take that nobody says more of.
+DAY = 86400.0
+
 if TYPE_CHECKING:
     from lfield.journal.journal import Journal
     from lfield.journal.opening import Owner
@@ -77,17 +80,23 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="what runs the program, whatever the devices file says: auto is the faster that there is",
     )
     parser.add_argument(
-        "--trust-network",
-        action="store_true",
-        help="listen beyond this machine without keys: whoever reaches the port controls the robots",
+        "--keys", metavar="DIR", type=Path, help="the keys of this host, or a folder with those of several"
+    )
+    parser.add_argument(
+        "--lasts",
+        metavar="SECONDS",
+        type=_seconds,
+        default=DAY,
+        help="how long the mission may take: keys that end before that are refused (default a day)",
     )
     _add_hidden(parser)
 
 
 def _add_hidden(parser: argparse.ArgumentParser) -> None:
-    # For processes that `--all` starts: the listening socket they inherit, the address where commands find
-    # them, to end with their parent, and the command that sets up their devices.
+    # For processes that `--all` starts: the listening socket and the keys they inherit, the address where
+    # commands find them, to end with their parent, and the command that sets up their devices.
     parser.add_argument("--listen-fd", type=int, help=argparse.SUPPRESS)
+    parser.add_argument("--keys-fd", type=int, help=argparse.SUPPRESS)
     parser.add_argument("--door", default="", help=argparse.SUPPRESS)
     parser.add_argument("--leash", action="store_true", help=argparse.SUPPRESS)
     parser.add_argument("--setup", default="", help=argparse.SUPPRESS)
@@ -126,18 +135,18 @@ def _run_built(path: Path, args: argparse.Namespace) -> int:
 
     try:
         with prepared(Order(path, args.program, args.devices, simulate=args.sim)) as file:
-            return _run(file, args, warn=not args.leash)
+            return _run(file, args, built=True)
     except NotBuilt as error:
         return error.status
 
 
-def _run(file: Path, args: argparse.Namespace, *, warn: bool = False) -> int:
+def _run(file: Path, args: argparse.Namespace, *, built: bool = False) -> int:
     from lfield.mission import bundle
     from lfield.mission.team import parse_maps
 
     mission = bundle.read(file)
     team = mission.team.at(parse_maps(args.map, mission.team))
-    told = () if warn else mission.warnings
+    told = () if built else mission.warnings
     mission = (mission.on_fakes() if args.sim else mission).at(team)
     if not args.leash:
         for warning in mission.warnings[len(told) :]:
@@ -154,7 +163,7 @@ def _run(file: Path, args: argparse.Namespace, *, warn: bool = False) -> int:
         from lfield.cli.run.up_all import run_all
 
         return run_all(mission, file, args)
-    return _run_one(mission, args)
+    return _run_one(mission, args, built=built)
 
 
 def _look_at_dumps(folder: Path) -> None:
@@ -165,13 +174,17 @@ def _look_at_dumps(folder: Path) -> None:
         raise OutputFileError(str(folder), "nothing may be written there")
 
 
-def _run_one(mission: Mission, args: argparse.Namespace) -> int:
+def _run_one(mission: Mission, args: argparse.Namespace, *, built: bool) -> int:
     from lfield import loop
+    from lfield.cli.run.own_keys import proof_of, signed_here
     from lfield.host.process.run import run_host
     from lfield.net.local import own_host
 
     name = mission.team.lookup(args.host) if args.host else own_host(mission.team.hosts)
-    _look_at_port(mission, name, args)
+    proof = proof_of(name, args)
+    if proof is not None:
+        _look_at_port(mission, name, args)
+        mission = signed_here(mission, args) if built else mission
     if not _ready(mission, name, args):
         return exits.FAILED
     with (
@@ -188,7 +201,7 @@ def _run_one(mission: Mission, args: argparse.Namespace) -> int:
                 dump=args.dump,
                 unreachable_after=args.unreachable_after,
                 lost_after=args.lost_after if args.until_done else None,
-                trust_network=args.trust_network,
+                proof=proof,
                 leash=args.leash,
                 journal=journal,
                 first_start=args.first_start,
@@ -272,6 +285,7 @@ def _place(mission: Mission, host: str, args: argparse.Namespace) -> tuple[Path,
 def _ready(mission: Mission, host: str, args: argparse.Namespace) -> bool:
     """Whether the host may start: with --fresh, when what it keeps was thrown away. Raises LfieldError."""
     from lfield.cli.run.fresh import begun_anew
+    from lfield.cli.run.own_keys import tls_for_asking
 
     if args.yes and not args.fresh:
         raise UsageError("--yes is an answer to --fresh")
@@ -280,7 +294,7 @@ def _ready(mission: Mission, host: str, args: argparse.Namespace) -> bool:
     if not _keeps(mission, args):
         raise UsageError("--fresh is for a host that keeps its coordinators: this one keeps nothing")
     others = {name: address for name, address in mission.team.reached.items() if name != host}
-    return begun_anew(*_place(mission, host, args), others, tell, yes=args.yes)
+    return begun_anew(*_place(mission, host, args), others, tell, tls_for_asking(host, args), yes=args.yes)
 
 
 def _with_own_drivers(mission: Mission, host: str) -> Mission:

@@ -20,10 +20,10 @@ from typing import TYPE_CHECKING, TextIO
 
 from lfield import exits
 from lfield.cli.mission_argument import mission_path, setup_command
+from lfield.cli.run.own_keys import minted
 from lfield.clock import SystemClock
 from lfield.driver.binding import longest_rest
 from lfield.host.process import leash
-from lfield.host.process.run import stay_here
 from lfield.host.process.stop_words import ECHO, StopWords, hear_signals
 from lfield.mission.team import parse_maps
 from lfield.net.local import reserve
@@ -52,9 +52,6 @@ RAN = (exits.DONE, exits.FAILED, exits.UNSAFE, exits.UNHEARD)
 def run_all(mission: Mission, file: Path, args: argparse.Namespace) -> int:
     """Run every host of the mission in a bundle until all have ended: 0 if all did so normally."""
     mapped = parse_maps(args.map, mission.team)
-    if not args.trust_network:
-        for host, address in mapped.items():
-            asyncio.run(stay_here(host, address))
     reserved = {host: reserve(mapped.get(host, FREE)) for host in mission.team.hosts}
     addresses = {host: address for host, (_, address) in reserved.items()}
     named = mission_path(args)
@@ -78,6 +75,7 @@ class _Team:
     ) -> None:
         self.mission, self.file, self.args, self.doors = mission, file, args, doors
         self.reserved, self.addresses = reserved, addresses
+        self.keys = minted(addresses, mission.release)
         self.children: dict[str, Process] = {}
         self.pipes: list[asyncio.ReadTransport] = []
         self.width = max(len(host) for host in addresses)
@@ -94,7 +92,7 @@ class _Team:
         if sys.stderr.isatty():
             from lfield.cli.views.live import LiveView
 
-            self.view = LiveView(self.addresses)
+            self.view = LiveView(self.doors.addresses)
         readers = [task for host in self.addresses for task in await self.start(host)]
         watcher = asyncio.create_task(self.watch())
         if self.view:
@@ -118,16 +116,17 @@ class _Team:
         listening = self.reserved[host][0]
         (out, stdout), (err, stderr) = await self.pipe(), await self.pipe()
         child = await asyncio.create_subprocess_exec(
-            *self.command(host, listening.fileno()),
+            *self.command(host, listening.fileno(), self.keys[host]),
             stdin=PIPE,
             stdout=stdout,
             stderr=stderr,
             # With the lock the run lives, for those who look, until its last host has ended.
-            pass_fds=[listening.fileno(), *self.doors.lock],
+            pass_fds=[listening.fileno(), self.keys[host], *self.doors.lock],
             # A Ctrl-C of the terminal is for this process; it stops the hosts in order.
             start_new_session=True,
         )
         listening.close()
+        os.close(self.keys[host])
         os.close(stdout)
         os.close(stderr)
         self.children[host] = child
@@ -150,11 +149,11 @@ class _Team:
         self.pipes.append((await connected)[0])
         return reader, writing
 
-    def command(self, host: str, descriptor: int) -> list[str]:
+    def command(self, host: str, listening: int, keys: int) -> list[str]:
         args = self.args
         words = [sys.executable, "-m", "lfield", "up", str(self.file), f"--host={host}", "--leash"]
         # One word each: what begins with a dash would be taken for another option.
-        words += ["--listen-fd", str(descriptor)]
+        words += ["--listen-fd", str(listening), "--keys-fd", str(keys)]
         words += ["--engine", args.engine] if args.engine else []
         words += [f"--door={self.doors.addresses[host]}"] if host in self.doors.addresses else []
         # Of all hosts: the first with a device that is not set up ends the others before they can tell.

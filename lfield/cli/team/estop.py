@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from lfield import exits
@@ -45,7 +46,7 @@ def run(args: argparse.Namespace) -> int:
         _tell_whom(parties, "lifting" if args.lift else "stopping")
     reason = f"the emergency stop was pressed{': ' if args.reason else ''}{args.reason}"
     try:
-        answers = ask_parties(parties, emergency_stop(reason, lift=args.lift))
+        answers = ask_parties(parties, emergency_stop(reason, lift=args.lift), args.keys)
     except KeyboardInterrupt:
         _tell("interrupted: not every host has answered; press it again")
         return exits.UNSAFE
@@ -56,7 +57,8 @@ def run(args: argparse.Namespace) -> int:
         return AddressError.exit_status
     if args.lift or args.no_wait:
         return exits.DONE if confirmed and everybody else exits.UNSAFE
-    return exits.worst((exits.DONE if everybody else exits.UNSAFE, way_down(parties, answers, names)))
+    down = way_down(parties, answers, names, args.keys)
+    return exits.worst((exits.DONE if everybody else exits.UNSAFE, down))
 
 
 def _tell_whom(parties: Sequence[Party], doing: str) -> None:
@@ -98,10 +100,13 @@ def _tell_not_kept(answers: Stopped, names: Mapping[Place, str]) -> None:
             _tell(f"{names[place]}: {answer.trouble}")
 
 
-def way_down(parties: Sequence[Party], answers: Stopped, names: Mapping[Place, str]) -> int:
+def way_down(
+    parties: Sequence[Party], answers: Stopped, names: Mapping[Place, str], keys: Path | None
+) -> int:
     """Look at the devices until they are at rest, and name those that are not; the status it comes to."""
     from lfield.cli.views.way_down import watch
     from lfield.clock import SystemClock
+    from lfield.operator.ask import observer, own_tls
     from lfield.operator.descent import Descent
 
     within = max((run.note.rest_within for party in parties for run in party.runs), default=REST_WITHIN)
@@ -110,7 +115,8 @@ def way_down(parties: Sequence[Party], answers: Stopped, names: Mapping[Place, s
         if not isinstance(answer, Exception):
             descent.stopped(place, answer)
     try:
-        watch(descent, {place: at for party in parties for place, at in party.places.items()}, names)
+        places = {place: at for party in parties for place, at in party.places.items()}
+        watch(descent, observer(own_tls(places.values(), keys)), places, names)
         interrupted = False
     except KeyboardInterrupt:
         _tell("no longer looking, and nothing else has changed: 'lfield ps' shows how the devices are")

@@ -26,10 +26,10 @@ def run(args: argparse.Namespace) -> int:
 
     parties = meant_parties(args, meant_runs(args))
     names = names_of(parties)
-    before = ask_parties(parties, STATUS)
+    before = ask_parties(parties, STATUS, args.keys)
     if not all(isinstance(answer, Exception) for answer in before.values()):
         insist_on_doubt(args.agent, before, names)
-    answers = ask_parties(parties, forget(args.agent))
+    answers = ask_parties(parties, forget(args.agent), args.keys)
     given_up = False
     for place, answer in answers.items():
         if not isinstance(answer, Exception) and answer.starts:

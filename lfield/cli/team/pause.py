@@ -24,11 +24,12 @@ def run(args: argparse.Namespace) -> int:
 
     parties = meant_parties(args, meant_runs(args))
     names = names_of(parties)
-    answers = ask_parties(parties, pause())
+    answers = ask_parties(parties, pause(), args.keys)
     confirmed = all_confirmed(answers, names, "safe")
     everybody = all_reached(answers, names)
     if not (parties[0].runs or any(reached(answer) for answer in answers.values())):
         return exits.UNAVAILABLE
     if args.no_wait:
         return exits.DONE if confirmed and everybody else exits.UNSAFE
-    return exits.worst((exits.DONE if everybody else exits.UNSAFE, way_down(parties, answers, names)))
+    down = way_down(parties, answers, names, args.keys)
+    return exits.worst((exits.DONE if everybody else exits.UNSAFE, down))

@@ -24,7 +24,7 @@ def run(args: argparse.Namespace) -> int:
 
     runs = meant_runs(args)
     parties = meant_parties(args, runs)
-    answers = ask_parties(parties, STATUS)
+    answers = ask_parties(parties, STATUS, args.keys)
     names = names_of(parties)
     named = {names[place]: answer for place, answer in answers.items()}
     if named_mission(args) is None and unseen():

@@ -99,7 +99,7 @@ def _known(args: argparse.Namespace, team: Team, asked: Asked, at: str) -> Known
     from lfield.operator.query import from_files, from_hosts, views_of
 
     party = None if args.files else _only(meant_parties(args, meant_runs(args)))
-    answers = by_host(ask_parties([party], patiently()), party) if party else {}
+    answers = by_host(ask_parties([party], patiently(), args.keys), party) if party else {}
     views, errors = views_of(answers), silent(answers)
     # Where nobody listens at all nothing runs, which is no problem; anything else is one.
     nobody = not views and all(isinstance(error, AddressError) for error in errors.values())

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import sys
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from lfield import exits
@@ -31,7 +32,7 @@ def run(args: argparse.Namespace) -> int:
 
     parties = meant_parties(args, meant_runs(args))
     names = names_of(parties)
-    answers = ask_parties(parties, STATUS)
+    answers = ask_parties(parties, STATUS, args.keys)
     if all(isinstance(answer, LfieldError) for answer in answers.values()):
         tell_silent(silent({names[place]: answer for place, answer in answers.items()}))
         return exits.UNAVAILABLE
@@ -39,7 +40,7 @@ def run(args: argparse.Namespace) -> int:
     print("\n".join(belief.lines))
     if not _agreed(args.agent, names[belief.place], yes=args.yes):
         return exits.FAILED
-    _carry_out(parties, belief, names[belief.place])
+    _carry_out(parties, belief, names[belief.place], args.keys)
     return exits.DONE
 
 
@@ -55,14 +56,15 @@ def _agreed(agent: str, host: str, *, yes: bool) -> bool:
     return says_yes(f"Type 'yes' to go on with {agent} on {host}: ")
 
 
-def _carry_out(parties: list[Party], belief: Belief, host: str) -> None:
+def _carry_out(parties: list[Party], belief: Belief, host: str, keys: Path | None) -> None:
     """Raises CoordinatorAlive when the host says no, and AddressError when it says nothing."""
     import asyncio
 
-    from lfield.operator.ask import ask, observer, recover
+    from lfield.operator.ask import ask, observer, own_tls, recover
 
     address = next(party.places[belief.place] for party in parties if belief.place in party.places)
-    answer = asyncio.run(ask(observer(), address, recover(belief.word)))
+    transport = observer(own_tls([address], keys))
+    answer = asyncio.run(ask(transport, address, recover(belief.word), belief.place.host))
     if not answer.generation:
         raise CoordinatorAlive(f"nothing was done: {answer.reason}")
     print(f"{host}: {belief.word.agent} goes on, as start {answer.generation}")

@@ -20,7 +20,7 @@ def run(args: argparse.Namespace) -> int:
 
     parties = meant_parties(args, meant_runs(args))
     names = names_of(parties)
-    answers = ask_parties(parties, pause(lift=True))
+    answers = ask_parties(parties, pause(lift=True), args.keys)
     for place, answer in answers.items():
         if not isinstance(answer, Exception):
             print(f"{names[place]}: goes on")

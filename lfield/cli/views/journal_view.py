@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from lfield.journal.opening import lost, moment
 from lfield.journal.pages import (
     BegunPage,
+    BundlePage,
     CopyPage,
     Fence,
     Paused,
@@ -52,6 +53,8 @@ def journal_lines(seen: Seen) -> Iterator[str]:
                 yield f"starts    {page.count}"
             case Run():
                 yield f"run       {'goes on' if page.open else 'has ended'}"
+            case BundlePage() if page.digest:
+                yield f"bundle    {page.digest.hex()[:12]}, signed"
             case Paused() if page.on:
                 yield "paused    until 'lfield resume'"
             case Stopped() if page.reason:

@@ -30,7 +30,7 @@ class LiveView:
         self._task = asyncio.create_task(self._draw())
 
     async def _draw(self) -> None:
-        transport = observer(INTERVAL)
+        transport = observer(connect_timeout=INTERVAL)
         while True:
             answers = await ask_all(transport, self._addresses, STATUS)
             self._live.update(picture(answers), refresh=True)

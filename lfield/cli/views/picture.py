@@ -13,6 +13,7 @@ from rich.table import Table
 
 from lfield.cli.views.trees import plain_console
 from lfield.errors import LfieldError
+from lfield.mission.access.release import Release
 from lfield.operator.ask import Answers
 from lfield.operator.descent import SILENT
 from lfield.operator.whereabouts import what_can_be_done
@@ -31,11 +32,21 @@ def picture(answers: Answers[Status]) -> Group:
     """The agents of all hosts with the coordinators that have ended or are in doubt, what can be done about
     those that nobody has, then the devices.
 
-    Last are the hosts: how late each was, how long it may be silent, and what it keeps.
+    Last are the hosts: how late each was, how long it may be silent, what it keeps, and which bundle it runs.
     """
     further = [table for table in (_devices(answers), _hosts(answers)) if table.row_count]
     hints = map(in_one_line, [*_paused(answers), *what_can_be_done(answers)])
-    return Group(_agents(answers), *hints, *(part for table in further for part in ("", table)))
+    bundles = ["", *map(in_one_line, _bundles(answers))] if _bundles(answers) else []
+    return Group(_agents(answers), *hints, *(part for table in further for part in ("", table)), *bundles)
+
+
+def _bundles(answers: Answers[Status]) -> list[str]:
+    """Which bundles run, and where: one, unless somebody has forgotten a host."""
+    found: dict[str, list[str]] = {}
+    for host, told in answers.items():
+        if not isinstance(told, LfieldError) and (run := told.bundle) is not None:
+            found.setdefault(str(Release(run.digest, by=run.by, at=run.at)), []).append(host)
+    return [f"bundle {release}: {', '.join(hosts)}" for release, hosts in found.items()]
 
 
 def _paused(answers: Answers[Status]) -> list[str]:

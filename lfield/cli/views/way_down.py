@@ -12,8 +12,9 @@ from rich.table import Table
 
 from lfield.cli.views.trees import plain_console
 from lfield.clock import Clock, SystemClock
+from lfield.net.transport import Transport
 from lfield.operator.addressed import Place
-from lfield.operator.ask import STATUS, ask_all, observer
+from lfield.operator.ask import STATUS, ask_all
 from lfield.operator.descent import Descent
 from lfield.text.values import telemetry_in_words
 
@@ -21,22 +22,24 @@ from lfield.text.values import telemetry_in_words
 INTERVAL = 0.5
 
 
-def watch(descent: Descent, addresses: Mapping[Place, str], names: Mapping[Place, str]) -> None:
+def watch(
+    descent: Descent, transport: Transport, addresses: Mapping[Place, str], names: Mapping[Place, str]
+) -> None:
     """Look until the descent is over, and show it. Ctrl-C raises KeyboardInterrupt, as everywhere."""
     live = Live(console=plain_console(), auto_refresh=False) if sys.stdout.isatty() else None
     shown: AbstractContextManager[object] = live or nullcontext()
     with shown:
-        asyncio.run(_look(descent, addresses, names, live, SystemClock()))
+        asyncio.run(_look(descent, transport, addresses, names, live, SystemClock()))
 
 
 async def _look(
     descent: Descent,
+    transport: Transport,
     addresses: Mapping[Place, str],
     names: Mapping[Place, str],
     live: Live | None,
     clock: Clock,
 ) -> None:
-    transport = observer()
     while not descent.over:
         asked = {place: addresses[place] for place in addresses if place in descent.places}
         descent.at(clock.monotonic())

@@ -7,22 +7,24 @@ import gc
 import signal
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import NoReturn
 
 from lfield import exits
+from lfield.authority.admission import Admission
+from lfield.clock import SystemClock
 from lfield.driver.binding import longest_rest
-from lfield.errors import UsageError
 from lfield.host.host import Host, Options
 from lfield.host.logbook import Logbook
 from lfield.host.process.leash import Leash
+from lfield.host.process.proving import Proof, admitted, insist_on_keys, insist_on_signature
 from lfield.host.process.stop_words import StopWords, hear_signals
 from lfield.host.process.until_done import until_done
 from lfield.journal.journal import Journal
 from lfield.mission.mission import Mission
 from lfield.mobility.fates import Fate
-from lfield.net.local import is_loopback
 from lfield.net.tcp import TcpTransport
 
 #: After so many seconds of a stop it is told what it waits for.
@@ -41,7 +43,7 @@ async def run_host(
     dump: Path | None = None,
     unreachable_after: float | None = None,
     lost_after: float | None = None,
-    trust_network: bool = False,
+    proof: Proof | None = None,
     leash: bool = False,
     journal: Journal | None = None,
     first_start: bool = False,
@@ -51,13 +53,21 @@ async def run_host(
 
     `journal` is closed when it ends; without one it starts its coordinators when it has heard all hosts.
     `door` is the address where commands of this computer find it. `engine` says what runs the program,
-    if not what the bindings say.
+    if not what the bindings say. Without `proof` of who it is, it is there for those commands alone.
 
-    Raises AddressError and DevicesError when it cannot start.
+    Raises AddressError, DevicesError and KeysError when it cannot start.
     """
-    address = listen or mission.team.addresses[mission.team.number(name)]
-    if not (listen or trust_network):
-        await stay_here(name, address)
+    clock, logbook = SystemClock(), Logbook()
+    address, tls, admission = "", None, Admission()
+    if proof is None:
+        insist_on_keys(name, mission.team.hosts)
+    else:
+        address = listen or mission.team.addresses[mission.team.number(name)]
+        tls, admission = admitted(proof, name, clock, journal.times.values() if journal else ())
+        release, doubt = insist_on_signature(mission, proof, admission, journal.pages() if journal else ())
+        mission = replace(mission, release=release)
+        if doubt:
+            logbook.note(f"this host goes on with bundle {release.short}, though {doubt}")
     bound = unreachable_after or mission.bindings.unreachable_after
     host_options = Options(
         address,
@@ -66,10 +76,11 @@ async def run_host(
         door,
         journal=journal,
         first_start=first_start,
+        clock=clock,
         engine=engine or mission.bindings.engine,
+        admission=admission,
     )
-    logbook = Logbook()
-    host = Host(mission, name, TcpTransport(mission.max_block), logbook, host_options)
+    host = Host(mission, name, TcpTransport(mission.max_block, tls), logbook, host_options)
     host.on_failure = _end_by_force_after(mission)
     words = StopWords(host.clock)
     hear_signals(words)
@@ -131,16 +142,6 @@ def _tell_why(life: asyncio.Future[int], host: Host) -> None:
     """What else is wrong, when the exit status says that a device is not safe."""
     if not life.cancelled() and (error := life.exception()) is not None:
         host.note(str(error))
-
-
-async def stay_here(name: str, address: str) -> None:
-    """Raise UsageError if other machines could reach who listens there; AddressError if it is no address."""
-    if not await is_loopback(address):
-        raise UsageError(
-            f"{address} can be reached from other machines and there are no keys yet: "
-            "use --trust-network on a network of your own, or --map "
-            f"{name}=127.0.0.1:PORT to stay on this machine"
-        )
 
 
 def _settle() -> None:

@@ -14,7 +14,7 @@ from lfield.errors import BlockError
 from lfield.host.effects import CHANGED, Effect, Keep, Say
 from lfield.host.team.absent import Absent
 from lfield.host.team.keeping import Keeping, Recovery, explanation
-from lfield.journal.pages import Key, Page, Run, Starts
+from lfield.journal.pages import BundlePage, Key, Page, Run, Starts
 from lfield.mission.mission import Mission
 from lfield.mobility import effects as mobile
 from lfield.mobility.copies import Copy
@@ -147,6 +147,8 @@ class Coordinators:
 
     def open(self) -> None:
         """The resources here are started: take in the coordinators that came meanwhile."""
+        if self._mission.release.by:
+            self.keep(BundlePage(self._mission.release.digest))
         early, self._early = self._early or {}, None
         for host, header, block in early.values():
             self.arrived(host, header, block)
@@ -188,6 +190,8 @@ class Coordinators:
         own = {member.id for member in self._members.values() if member.host == here}
         going = any(row.agent in own and row.state != "EXITED" for row in self.mobility.knowledge())
         self.keeping.page(Run(open=going), self._clock.monotonic())
+        if self._mission.release.by and not going:
+            self.keep(BundlePage(b""))
 
     def arrived(self, host: str, header: Transfer, block: memoryview) -> None:
         """A coordinator came: it runs before its sender gets an answer."""

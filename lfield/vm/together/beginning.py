@@ -141,7 +141,7 @@ class Beginnings:
     def _begin(self, agent: Agent, ticket: Ticket) -> None:
         scheduler = self._scheduler
         member, method, w = self._visits.resource(ticket), ticket.method, ticket.w
-        resource = portals.called(scheduler, member, agent, ticket.proxy)
+        resource = portals.called(scheduler, member, agent, ticket.proxy, method)
         first = w[ticket.place + TICKET_CALL] + FRAME_SLOTS + 1
         parameters = scheduler.program.core.methods[method].parameters
         words = [ticket.proxy, *w[first : first + parameters].tolist()]

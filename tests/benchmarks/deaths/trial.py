@@ -153,7 +153,7 @@ class Trial:
                 self._complain()
                 wave.starting.discard(id(self))
                 return False
-            if any("is up on" in line for line in self._told):
+            if any("is up " in line for line in self._told):
                 wave.starting.discard(id(self))
             yield
         wave.starting.discard(id(self))

@@ -16,8 +16,12 @@ from typing import Self
 from harness.paced import Paced
 from harness.processes import Child, Processes, free_port
 
+from lfield.testing.keys import Keyring
+
 #: Python keeps compiled modules here, as it does after the first start of an installed program.
 _KEPT = tempfile.TemporaryDirectory(prefix="lfield-bench-")
+#: Where hosts that listen look for keys: in `XDG_CONFIG_HOME`.
+_KEYS = Keyring(Path(_KEPT.name) / "lfield" / "keys")
 
 
 class CheckoutError(Exception):
@@ -54,7 +58,7 @@ class Checkout:
     def environment(self) -> dict[str, str]:
         """What its processes run in: nothing that they keep is left behind, and no operator finds them."""
         told = {name: value for name, value in os.environ.items() if not name.startswith("PYTHON")}
-        kept = ("PYTHONPYCACHEPREFIX", "XDG_CACHE_HOME", "XDG_RUNTIME_DIR")
+        kept = ("PYTHONPYCACHEPREFIX", "XDG_CACHE_HOME", "XDG_CONFIG_HOME", "XDG_RUNTIME_DIR")
         return told | dict.fromkeys(kept, _KEPT.name)
 
     @property
@@ -123,6 +127,7 @@ class Mission:
             self.deploy.with_suffix(".devices.yaml").write_text(self.devices, encoding="utf-8")
         hosts = dict.fromkeys(agent.partition("@")[2].partition("?")[0] for agent in self.agents)
         self.addresses = {host: f"127.0.0.1:{free_port()}" for host in hosts}
+        _KEYS.give(*hosts)
 
     @property
     def source(self) -> Path:

@@ -61,7 +61,7 @@ def started(checkout: Checkout, processes: Processes, words: Sequence[str]) -> t
     """A host after its first portal call, and the seconds that it took from its start."""
     host, took = checkout.lfield(processes, "up", *words, merged=True), {}
     while (line := host.line()) != "called":
-        if " is up on " in line:
+        if " is up " in line:
             took["until it is up"] = [time.perf_counter() - host.started]
     took["to the first portal call"] = [time.perf_counter() - host.started]
     return host, took | {"the same, processor": [processor_seconds(Path(f"/proc/{host.pid}"))]}

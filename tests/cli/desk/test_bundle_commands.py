@@ -48,11 +48,12 @@ agents:
 
 @pytest.fixture
 def bundled(lfield, here):
-    """`bundled()` builds the mission of a test's folder and takes the files it was built from away."""
+    """`bundled()` builds the mission of a test's folder, signed, and takes the files it was built from away."""
 
     def build() -> None:
         made = here("build", "mission.dL")
         assert made.status == 0, made
+        lfield.keys.sign(lfield.folder / "mission.lfm")
         for path in lfield.folder.glob("mission.*"):
             if path.suffix != ".lfm":
                 path.unlink()
@@ -202,6 +203,7 @@ def test_a_driver_that_is_not_the_one_of_the_desk_is_refused(lfield) -> None:
         "Path('mission.lfm').write_bytes(bundle.encode(m))"
     )
     subprocess.run([sys.executable, "-c", code], cwd=lfield.folder, check=True, timeout=60)
+    lfield.keys.sign(lfield.folder / "mission.lfm")
     ran = lfield("up", "mission.lfm", "--host", "here", *lfield.maps(["here"]))
     assert lfield.status(ran) == 69
     told = "\n".join(ran.err)
@@ -223,7 +225,7 @@ def test_a_driver_that_is_not_the_one_of_the_desk_is_refused(lfield) -> None:
         (["check", "cut.lfm"], 65, "is not a sound bundle"),
         (["disasm", "cut.lfm"], 65, "is not a sound bundle"),
         (["inspect", "cut.lfm"], 65, "is not a sound bundle"),
-        (["up", "newer.lfm"], 65, "it has format 9, this lfield reads format 1"),
+        (["up", "newer.lfm"], 65, "it has format 9, this lfield reads format 2"),
         (["up", "mission.lfm"], 64, "name one with --host, or run all of them here with --all"),
     ],
 )
@@ -248,7 +250,7 @@ note = Logbook.note
 
 def told(self, text):
     note(self, text)
-    if " is up on " in text:
+    if " is up " in text:
         note(self, "loaded: " + " ".join(sorted(sys.modules)))
 
 Logbook.note = told
@@ -269,9 +271,11 @@ def test_neither_a_host_nor_its_guards_know_l_or_yaml(lfield, example) -> None:
     """Every import of every process is listed by Python itself; fakes are no part of a robot, and as lean."""
     deployment = EXAMPLES / example / "mission.dL"
     assert lfield.status(lfield("build", deployment, "--sim", "-o", "mission.lfm")) == 0
+    lfield.keys.sign(lfield.folder / "mission.lfm")
     host = deployment.read_text().partition("@")[2].split()[0].partition("?")[0].partition(":")[0]
     command = [sys.executable, "-c", SHOWING, "up", "mission.lfm", "--host", host, "--sim"]
-    environment = {**lfield.environment, "PYTHONPROFILEIMPORTTIME": "1"}
+    keys = {"XDG_CONFIG_HOME": f"{lfield.folder}/config"}
+    environment = {**lfield.environment, **keys, "PYTHONPROFILEIMPORTTIME": "1"}
     with subprocess.Popen(
         [*command, "--map", lfield.maps([host])[1]],
         cwd=lfield.folder, env=environment, stdin=subprocess.DEVNULL, stderr=subprocess.PIPE,

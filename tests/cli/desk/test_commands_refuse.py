@@ -5,9 +5,13 @@ from __future__ import annotations
 import socket
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
+
+from lfield.net.tls import Tls
+from lfield.testing.keys import Keyring
 
 pytestmark = pytest.mark.process
 
@@ -279,21 +283,47 @@ def test_a_host_named_by_a_loopback_address_is_this_machine(lfield):
     assert (lfield.status(done), done.out) == (0, ["ring"]), done.said
 
 
-def test_an_address_that_others_can_reach_needs_a_word_of_trust(lfield, refused, good):
-    words = "use --trust-network on a network of your own"
-    refused(64, words, "up", "--deploy", good, "--host", "alpha", "--map", "alpha=0.0.0.0:8181")
-    refused(64, words, "up", "--deploy", good, "--host", "alpha", "--map", "alpha=192.0.2.1:8181")
+def test_a_host_of_several_does_not_begin_without_keys(lfield, refused):
+    deployment = lfield.mission(GOOD, "//Bell:bell@alpha\n//Ringer:tom@bravo?bell\n")
+    words = (
+        "alpha has no keys, and no host listens on a network without: give it the folder that 'lfield keys"
+    )
+    refused(64, words, "up", "--deploy", deployment, "--host", "alpha", "--map", "alpha=127.0.0.1:8181")
 
 
-def test_with_that_word_the_address_must_still_be_ours(lfield, refused, good):
-    address = "alpha=192.0.2.1:8181"
-    command = ("up", "--deploy", good, "--host", "alpha", "--map", address, "--trust-network")
-    refused(69, "the address is not one of this machine", *command)
+def test_a_host_that_is_alone_listens_nowhere_without_keys(lfield, good):
+    words = ("up", "--deploy", good, "--host", "alpha", "--map", "alpha=no.such.host.invalid:1")
+    done = lfield(*words, "--until-done")
+    assert (lfield.status(done), done.out) == (0, ["ring"]), done.said
+    assert "alpha is up for this computer alone" in done.err
 
 
-def test_a_name_that_leads_nowhere(lfield, refused, good):
-    command = ("up", "--deploy", good, "--host", "alpha", "--map", "alpha=no.such.host.invalid:1")
-    refused(69, "leads to no address; use --map", *command)
+def test_keys_that_are_not_those_of_the_host(lfield, refused, good):
+    up = ("up", "--deploy", good, "--host", "alpha", *lfield.maps(["alpha"]), "--keys")
+    folder = lfield.keys.give("alpha", "bravo")
+    refused(65, "these are the keys of host bravo, not of host alpha", *up, folder / "bravo")
+    lfield.keys.put("alpha", replace(Keyring(folder).made("host", "alpha"), authority=b"nothing"))
+    refused(65, "the keys are damaged, or do not belong together", *up, folder)
+    lfield.keys.put("alpha", lfield.keys.made("host", "alpha", lasts=3600.0))
+    refused(65, "and the mission may last 86400 s from", *up, folder)
+    refused(65, "has no keys of host alpha", *up, lfield.folder)
+    (folder / "alpha" / "host.key").chmod(0o644)
+    refused(65, "host.key cannot be used", *up, folder)
+
+
+def test_a_revoked_host_does_not_begin(lfield, refused, good):
+    maps, folder = lfield.maps(["alpha"]), lfield.keys.folder / "alpha"
+    keys = lfield.keys.made("host", "alpha")
+    lfield.keys.put("alpha", replace(keys, revoked=lfield.keys.listed(2, f"{Tls(keys).own().serial}")))
+    words = "the keys of host alpha are revoked (list 2): make new ones with 'lfield keys host alpha'"
+    refused(65, words, "up", "--deploy", good, "--host", "alpha", *maps, "--keys", folder)
+
+
+def test_an_address_must_be_ours(lfield, refused, good):
+    lfield.keys.give("alpha")
+    up = ("up", "--deploy", good, "--host", "alpha", "--map")
+    refused(69, "the address is not one of this machine", *up, "alpha=192.0.2.1:8181")
+    refused(69, "the name is not known; correct it", *up, "alpha=no.such.host.invalid:1")
 
 
 def test_a_missing_vendor_library_names_the_extra_to_install(lfield):

@@ -106,6 +106,7 @@ def test_a_cut_link_with_the_coordinator_alive_behind_it_is_no_loss(lfield, prox
     deployment = lfield.mission(PROGRAM, POSTS + "//Walker:walker@alpha?c&12\n")
     ports = dict(zip(HOSTS, lfield.ports.take(3), strict=True))
     proxies.append(proxy := Proxy(ports["carol"]))
+    lfield.keys.give(*HOSTS)
     hosts = {}
     for host in HOSTS:
         at = {name: f"127.0.0.1:{port}" for name, port in ports.items()}

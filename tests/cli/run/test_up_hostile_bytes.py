@@ -4,9 +4,14 @@ from __future__ import annotations
 
 import re
 import socket
+import ssl
 import struct
 
 import pytest
+
+from lfield.wire.codec import decode, encode
+from lfield.wire.framing import FrameDecoder
+from lfield.wire.messages import Hello
 
 pytestmark = pytest.mark.process
 
@@ -22,6 +27,7 @@ coordinator Ringer {
 DEPLOYMENT = "//Bell:bell@alpha\n//Ringer:tom@bravo?bell\n"
 
 NOT_OURS = "the peer does not speak lfield"
+NO_TLS = "its first bytes are no TLS: it is no lfield host, or one of an earlier version"
 CASES = {
     "garbage": (b"\xff\xfe\x00\x01" * 500, f"{NOT_OURS}: a frame of kind 255"),
     "zeros": (bytes(5000), f"{NOT_OURS}: a frame of kind 0 and length 0"),
@@ -30,7 +36,6 @@ CASES = {
         "a frame of kind 1 has 4294967294 bytes",
     ),
     "an HTTP request": (b"GET / HTTP/1.1\r\nHost: alpha:8181\r\n\r\n", f"{NOT_OURS}: a frame of kind 47"),
-    "a TLS hello": (bytes.fromhex("16030100c6010000c20303") + bytes(190), f"{NOT_OURS}: a frame of kind 198"),
     "a pickle": (
         b"\x80\x04\x95\x1c" + bytes(7) + b"\x8c\x05posix\x94\x8c\x06system",
         f"{NOT_OURS}: a frame of kind",
@@ -45,12 +50,23 @@ def alpha(shared_lfield):
     maps = shared_lfield.maps(["alpha", "bravo"])
     host = shared_lfield.start("up", "--deploy", deployment, "--host", "alpha", *maps)
     host.address = host.wait_for(r"alpha is up on 127\.0\.0\.1:(\d+)")[1]
-    host.deployment, host.maps = deployment, maps
+    host.deployment, host.maps, host.keys = deployment, maps, shared_lfield.keys
     return host
 
 
 def connect(host) -> socket.socket:
+    """Somebody who has proven nothing."""
     return socket.create_connection(("127.0.0.1", int(host.address)), timeout=30.0)
+
+
+def connect_as(host, name: str) -> socket.socket:
+    """Somebody with good keys, who has said nothing yet."""
+    keys = host.keys.folder / name
+    kind = "person" if name == "me" else "host"
+    context = ssl.create_default_context(cafile=keys / "authority.pem")
+    context.check_hostname = False
+    context.load_cert_chain(keys / f"{kind}.pem", keys / f"{kind}.key")
+    return context.wrap_socket(connect(host))
 
 
 def drain(sock: socket.socket) -> bytes:
@@ -59,9 +75,15 @@ def drain(sock: socket.socket) -> bytes:
     try:
         while chunk := sock.recv(65536):
             said += chunk
-    except ConnectionResetError:
+    except (ConnectionResetError, ssl.SSLEOFError):
         pass
     return said
+
+
+def frames(data: bytes) -> list:
+    """The messages in some bytes."""
+    decoder = FrameDecoder(dict.fromkeys(range(8), 1 << 20))
+    return [decode(kind, payload) for kind, payload in decoder.feed(data)]
 
 
 def told(host, words: str) -> None:
@@ -70,38 +92,69 @@ def told(host, words: str) -> None:
 
 
 @pytest.mark.parametrize("name", CASES)
-def test_bad_bytes_close_one_link_and_are_told(alpha, name):
-    data, words = CASES[name]
+def test_a_stranger_with_bad_bytes_hears_nothing(alpha, name):
     with connect(alpha) as sock:
+        sock.sendall(CASES[name][0])
+        assert drain(sock) == b""
+    told(alpha, NO_TLS)
+    assert alpha.popen.poll() is None
+
+
+def test_a_stranger_who_begins_tls_hears_no_word_of_ours(alpha):
+    with connect(alpha) as sock:
+        sock.sendall(bytes.fromhex("16030100c6010000c20303") + bytes(192))
+        assert b"alpha" not in drain(sock)
+    told(alpha, "this is no TLS 1.3, or it was bent on the way")
+    context = ssl.create_default_context()
+    context.check_hostname, context.verify_mode = False, ssl.CERT_NONE
+    with (
+        context.wrap_socket(connect(alpha)) as sock,
+        pytest.raises(ssl.SSLError, match="CERTIFICATE_REQUIRED"),
+    ):
+        sock.recv(1)
+    told(alpha, "it shows no certificate")
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_bad_bytes_of_a_host_close_one_link_and_are_told(alpha, name):
+    data, words = CASES[name]
+    with connect_as(alpha, "bravo") as sock:
         sock.sendall(data)
-        assert b"alpha" in drain(sock), "the host's own greeting"
+        assert drain(sock) == b""
     told(alpha, words)
     assert alpha.popen.poll() is None
 
 
 def test_a_frame_that_stops_in_the_middle(alpha):
-    with connect(alpha) as sock:
+    with connect_as(alpha, "bravo") as sock:
         near = "{}:{}".format(*sock.getsockname())
-        own = sock.recv(65536)
-        sock.sendall(own[: len(own) // 2])
+        whole = encode(Hello("observer", "observer", 0))
+        sock.sendall(whole[: len(whole) // 2])
         sock.shutdown(socket.SHUT_WR)
         drain(sock)
     told(alpha, f"{near} closed the link in the middle of a message")
 
 
-def test_its_own_greeting_sent_back(alpha):
-    with connect(alpha) as sock:
-        sock.sendall(sock.recv(65536))
-        drain(sock)
-    told(alpha, "greeting refused: alpha reached itself")
+def test_a_greeting_copied_from_another_host_is_not_believed(alpha):
+    """The hashes in it are no secret among hosts; the name in a certificate is."""
+    with connect_as(alpha, "bravo") as sock:
+        sock.sendall(encode(Hello("observer", "observer", 0)))
+        (hello,) = frames(sock.recv(65536))
+    assert hello.host == "alpha"
+    for name, who in (("bravo", "host bravo calls itself alpha"), ("me", "operator only gives commands")):
+        with connect_as(alpha, name) as sock:
+            sock.sendall(encode(hello))
+            said = frames(drain(sock))
+        assert who in said[-1].reason
+        alpha.wait_for(f"^closed a link from 127[.]0[.]0[.]1: greeting refused: .*{who}")
 
 
 def test_who_tries_again_and_again_is_told_once(alpha):
     for _ in range(3):
-        with connect(alpha) as sock:
+        with connect_as(alpha, "bravo") as sock:
             sock.sendall(b"SSH-2.0-robot\r\n")
             drain(sock)
-    with connect(alpha) as sock:
+    with connect_as(alpha, "bravo") as sock:
         sock.sendall(b"STOP" * 3)
         drain(sock)
     # What came last is told last.
@@ -109,14 +162,14 @@ def test_who_tries_again_and_again_is_told_once(alpha):
     assert sum("a frame of kind 50" in line for line in alpha.err) == 1
 
 
-def test_half_a_frame_held_open_keeps_nobody_out_and_is_closed_in_the_end(alpha, shared_lfield):
+def test_half_a_handshake_held_open_keeps_nobody_out_and_is_closed_in_the_end(alpha, shared_lfield):
     with connect(alpha) as sock:
-        sock.sendall(sock.recv(65536)[:7])
+        sock.sendall(bytes.fromhex("16030100c601"))
         ringer = shared_lfield(
             "up", "--deploy", alpha.deployment, "--host", "bravo", *alpha.maps, "--until-done"
         )
         assert ringer.popen.returncode == 0, ringer.said
         alpha.wait_for("^ring$")
         told(alpha, "it has not greeted within 10 s")
-        drain(sock)
+        assert drain(sock) == b""
     assert alpha.popen.poll() is None

@@ -200,6 +200,7 @@ def test_a_mission_that_dies_ends_with_1(lfield):
 
 def test_a_port_in_use(lfield):
     deployment = lfield.mission(POSTS, "//Post:near@alpha\n")
+    lfield.keys.give("alpha")
     with socket.create_server(("127.0.0.1", 0)) as taken:
         address = f"127.0.0.1:{taken.getsockname()[1]}"
         host = lfield("up", "--deploy", deployment, "--host", "alpha", "--map", f"alpha={address}")
@@ -211,6 +212,7 @@ def test_a_port_in_use(lfield):
 def test_who_finds_the_port_in_use_makes_no_journal(lfield, tmp_path):
     # The first one may still run, though its folder was moved away: in its place nothing else may be put.
     deployment = lfield.mission(POSTS, "//Post:near@alpha\n")
+    lfield.keys.give("alpha")
     with socket.create_server(("127.0.0.1", 0)) as taken:
         address = f"127.0.0.1:{taken.getsockname()[1]}"
         words = ("up", "--deploy", deployment, "--host", "alpha", "--map", f"alpha={address}")
@@ -238,9 +240,9 @@ def test_all_refuses_a_map_that_it_cannot_keep(lfield):
     remedy = "stop the program that has it, or choose another port"
     assert used.err == [f"lfield: cannot use {address}: the port is in use; {remedy}"]
     assert lfield.status(used) == 69
-    abroad = lfield(*words, "alpha=0.0.0.0:8181")
-    assert abroad.err[0].startswith("lfield: 0.0.0.0:8181 can be reached from other machines")
-    assert lfield.status(abroad) == 64
+    abroad = lfield(*words, "alpha=192.0.2.1:8181")
+    assert "the address is not one of this machine" in abroad.err[0]
+    assert lfield.status(abroad) == 69
     unknown = lfield(*words, "alfa=127.0.0.1:8181")
     assert "the deployment has no host 'alfa'" in unknown.err[0]
     assert lfield.status(unknown) == 64

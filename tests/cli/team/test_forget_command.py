@@ -21,7 +21,7 @@ GONE = "bravo: has not answered; should it have tom, that goes on there: "
 def run(monkeypatch, capsys, before: dict, answers: dict):
     """The status, or what was raised; what was printed; what was said on stderr."""
 
-    def told(parties, request):
+    def told(parties, request, keys):
         return before if request is ask.STATUS else answers
 
     party = Party((), {"alpha": "alpha:8181", "bravo": "bravo:8181"})
@@ -29,7 +29,7 @@ def run(monkeypatch, capsys, before: dict, answers: dict):
     monkeypatch.setattr(forget, "meant_parties", lambda args, runs: [party])
     monkeypatch.setattr(ask, "ask_parties", told)
     try:
-        end = forget.run(argparse.Namespace(agent="tom"))
+        end = forget.run(argparse.Namespace(agent="tom", keys=None))
     except CoordinatorAlive as error:
         end = error
     return end, *capsys.readouterr()

@@ -296,7 +296,7 @@ def told(folder, monkeypatch, capsys):
     """`told(answers, query, *options)`: as `ask`, with these answers of the hosts."""
 
     def asked(answers, query: str, *options: str) -> tuple[int, list[str], list[str]]:
-        monkeypatch.setattr("lfield.operator.ask.ask_parties", lambda parties, request: answers)
+        monkeypatch.setattr("lfield.operator.ask.ask_parties", lambda parties, request, keys: answers)
         monkeypatch.setattr("lfield.operator.ask.by_host", lambda answers, party: answers)
         status = main(["query", query, "--deploy", "mission.dL", *options])
         said = capsys.readouterr()

@@ -65,7 +65,8 @@ def test_the_home_goes_on_and_the_host_that_comes_back_does_not(lfield, own):
     )
     assert any(line.startswith("  bravo does not answer; last heard ") for line in unasked.out)
 
-    assert answered("no\n", "recover", "tom", deployment, *maps, cwd=lfield.folder) == 1
+    words = ("recover", "tom", deployment, *maps)
+    assert answered("no\n", *words, cwd=lfield.folder, env=lfield.environment) == 1
 
     done = lfield("recover", "tom", deployment, *maps, "--yes", env=own)
     assert lfield.status(done) == 0, done.said

@@ -10,6 +10,7 @@ from lfield.clock import ManualClock
 from lfield.manifest import DeviceValue
 from lfield.testing.golden import Desk
 from lfield.vm.agent import Agent, Member
+from lfield.vm.attached import Rules
 from lfield.vm.begun import Beginning, Begun
 from lfield.vm.contract import Limits
 from lfield.vm.machine import Machine
@@ -67,8 +68,10 @@ class Joined:
         kind: str = "Post",
         limits: Limits | None = None,
         place: Callable[[], Place] = Place,
+        rules: Rules | None = None,
     ) -> None:
         self.program, self.clock, self.limits = program, ManualClock(), limits or Limits()
+        self.rules = rules
         self.team = [Member(i, f"r{i}", kind, "resource", i) for i in range(hosts)]
         self.team.append(Member(hosts, "boss", "Boss", "coordinator", 0))
         self.places: list[Place] = []
@@ -84,6 +87,7 @@ class Joined:
     def _machine(self, host: int, life: int) -> Machine:
         place = self.places[host]
         place.machine = Machine(self.program, self.team, host, life, place, self.clock, random.Random(1))
+        place.machine.attached.rules = self.rules
         place.machine.start(self.team[host], self.limits, 0)
         return place.machine
 

@@ -399,3 +399,17 @@ def test_hostile_tickets_are_refused() -> None:
         hostile[newest + field] = word
         with pytest.raises(BlockError):
             joined.machines[1].admit(agent.member, hostile.tobytes(), agent.limits)
+
+
+def test_a_call_that_is_not_allowed_is_one_of_its_outcomes_and_the_others_begin() -> None:
+    caught = "try {" + ALL + '} catch (AccessException e) { print(e.source() + ": " + e.message()); }'
+    work = next(i for i, m in enumerate(program(caught).core.methods) if m.name == "work")
+
+    def rules(coordinator: str, resource: str, method: int) -> str:
+        return "not this one" if (coordinator, resource, method) == ("boss", "r1", work) else ""
+
+    joined = Joined(
+        program(caught + "for (int i = 0; i < 3; i = i + 1) print(r[i].count());"), 3, rules=rules
+    )
+    joined.run()
+    assert joined.printed == ["r1: not this one", "1", "0", "1"]

@@ -1,0 +1,116 @@
+"""Whom one host lets in now: its own keys, what time it believes it is, and whose certificates count no more.
+
+A core: it is asked and told, and does nothing itself. `lfield.authority.judge` decides; here is what it
+must know. Where there are no keys nobody is judged: then links are between simulated hosts, or lead to a
+command of this computer, whom the kernel knows.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+from msgspec.structs import replace
+
+from lfield.authority.judge import ALL_IS_WELL, NOBODY, judged
+
+if TYPE_CHECKING:
+    from lfield.authority.believed import BelievedTime
+    from lfield.authority.identity import Identity
+    from lfield.authority.judge import Known, Revoked, Verdict
+    from lfield.authority.keys import Keys
+    from lfield.wire.messages import Hello
+
+
+class Admission:
+    """Nobody is judged."""
+
+    #: The own revocation list as it travels, and its number; empty and 0 where there is none.
+    list, number = b"", 0
+
+    def __init__(self) -> None:
+        #: Whether the mission of this host goes on; and what keeps a new list for its next life.
+        self.flies: Callable[[], bool] = lambda: False
+        self.keep: Callable[[bytes], None] = lambda data: None
+
+    def verdict(self, who: Identity, *, linked: bool = False, expected: str = "") -> Verdict:
+        """What somebody is good for now; `linked`: by a link that stands. `expected` is who was called."""
+        return ALL_IS_WELL
+
+    def signed(self, hello: Hello) -> Hello:
+        """The greeting with what others must know of this host's time and list."""
+        return hello
+
+    def greeted(self, who: Identity, hello: Hello) -> None:
+        """Somebody was let in, and says so."""
+
+    def newer(self, data: bytes) -> bool:
+        """Take a revocation list; whether it is newer than the own one. Raises KeysError for a bad one."""
+        return False
+
+    def line(self) -> str:
+        """What to tell of the time: '' when this computer's clock is believed."""
+        return ""
+
+
+class Judged(Admission):
+    """Whoever has a certificate is judged by it. `own` is this host.
+
+    `revoked` is the own list as it was read, `data` as it travels.
+    """
+
+    def __init__(
+        self,
+        keys: Keys,
+        own: Identity,
+        time: BelievedTime,
+        revoked: Revoked = NOBODY,
+        data: bytes = b"",
+    ) -> None:
+        super().__init__()
+        self._authority, self.own, self.time = keys.authority, own, time
+        self.revoked, self.list, self.number = revoked, data, revoked.number
+        #: The certificates of hosts that have greeted in this mission, by number.
+        self._greeted: set[str] = set()
+        time.proven(own.begins, f"the certificate of {own}")
+        time.proven(revoked.at, f"revocation list {revoked.number}")
+
+    def verdict(self, who: Identity, *, linked: bool = False, expected: str = "") -> Verdict:
+        known: Known = "linked" if linked else "greeted" if who.serial in self._greeted else "new"
+        if who.authority == self.own.authority:
+            # The authority writes no time that is yet to come.
+            self.time.proven(who.begins, f"the certificate of {who}")
+        return judged(
+            who,
+            at=self.time.now(),
+            authority=self.own.authority,
+            revoked=self.revoked,
+            known=known,
+            flies=self.flies(),
+            expected=expected,
+        )
+
+    def signed(self, hello: Hello) -> Hello:
+        return replace(hello, time=self.time.now(), revoked=self.number)
+
+    def greeted(self, who: Identity, hello: Hello) -> None:
+        self.time.told(hello.time, who)
+        if who.kind == "host":
+            self._greeted.add(who.serial)
+
+    def newer(self, data: bytes) -> bool:
+        if data == self.list:
+            return False
+        # It is seldom read, and cryptography is large.
+        from lfield.authority.reading import revoked_in
+
+        read = revoked_in(data, self._authority)
+        if read.number <= self.number:
+            return False
+        self.revoked, self.list, self.number = read, data, read.number
+        self.time.proven(read.at, f"revocation list {read.number}")
+        self.keep(data)
+        return True
+
+    def line(self) -> str:
+        return self.time.line()

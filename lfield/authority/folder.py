@@ -1,0 +1,150 @@
+"""Key folders: where `up` and the commands find them, and how they are read and written.
+
+From strong to weak, for host alpha and for a person:
+
+    --keys DIR                           DIR itself, or the folder in it of that name
+    $LFIELD_KEYS                         the same
+    /etc/lfield/keys/alpha               /etc/lfield/keys/me
+    ~/.config/lfield/keys/alpha          ~/.config/lfield/keys/me
+
+What is named and is not there is an error; it is never looked for elsewhere then. What is in a folder, and
+what the files are called, is in `keys.py`. A folder, or a file in it, that others could write to is not
+believed, and a private key that others may read is refused.
+"""
+
+from __future__ import annotations
+
+import errno
+import os
+from collections.abc import Mapping
+from pathlib import Path
+
+from lfield.authority.keys import (
+    AUTHORITY,
+    MAX_LIST,
+    MAX_PEM,
+    REVOKED,
+    Holder,
+    Keys,
+    certificate_name,
+    key_name,
+)
+from lfield.errors import KeysError
+from lfield.text.private import read_private, write_private
+
+#: The folder of a person's keys, as that of a host has the host's name.
+ME = "me"
+#: Where a computer keeps the keys of its hosts, and where this variable says so instead.
+SYSTEM, VARIABLE = Path("/etc/lfield/keys"), "LFIELD_KEYS"
+
+
+def own_keys(environment: Mapping[str, str]) -> Path:
+    """The folder of this user's keys."""
+    return own_settings(environment) / "keys"
+
+
+def own_settings(environment: Mapping[str, str]) -> Path:
+    """The folder of this user's settings of lfield."""
+    base = environment.get("XDG_CONFIG_HOME", "")
+    return (Path(base) if base else Path.home() / ".config") / "lfield"
+
+
+def find(
+    holder: Holder,
+    name: str,
+    named: Path | None,
+    environment: Mapping[str, str],
+    system: Path = SYSTEM,
+) -> Path | None:
+    """The folder with the keys of a host (`name`), or of this user (`ME`); None where there is none.
+
+    `named` is what --keys said. Raises KeysError where a folder was named and has no such keys.
+    """
+    said = named or (Path(environment[VARIABLE]) if environment.get(VARIABLE) else None)
+    usual = _inside(system, name), _inside(own_keys(environment), name)
+    for folder in (said, _inside(said, name)) if said is not None else usual:
+        # What this user may not look into is not there.
+        if os.path.exists(folder / certificate_name(holder)):
+            return folder
+    if said is not None:
+        whose = f"host {name}" if holder == "host" else "a person"
+        raise KeysError(
+            f"{said} has no keys of {whose} that this user may see ({certificate_name(holder)}): copy there "
+            f"what 'lfield keys {holder}' has made"
+        )
+    return None
+
+
+def read(folder: Path, holder: Holder) -> Keys:
+    """The keys in a folder. Raises KeysError, which names the file and what to do.
+
+    Whether they fit one another is not looked at here (`reading.checked`).
+    """
+    return Keys(
+        holder,
+        _read(folder / AUTHORITY, MAX_PEM),
+        _read(folder / certificate_name(holder), MAX_PEM),
+        _read(folder / key_name(holder), MAX_PEM, secret=True),
+        read_list(folder),
+    )
+
+
+def read_list(folder: Path) -> bytes:
+    """The revocation list of a folder; empty where there is none. Raises KeysError."""
+    return _read(folder / REVOKED, MAX_LIST, needed=False)
+
+
+def read_trusted(folder: Path) -> bytes:
+    """The certificate of the authority in a folder, which may be any of them. Raises KeysError."""
+    return _read(folder / AUTHORITY, MAX_PEM)
+
+
+def read_secret(path: Path) -> bytes:
+    """A private key. Raises KeysError, also when others may read it."""
+    return _read(path, MAX_PEM, secret=True)
+
+
+def write(folder: Path, keys: Keys) -> None:
+    """Write them, each file whole or not at all; the folder is made if there is none. Raises OutputFileError.
+
+    Without a private key (`keys.key` empty) the one that is there stays.
+    """
+    if keys.key:
+        write_private(folder / key_name(keys.holder), keys.key, 0o600, durable=True)
+    write_private(folder / certificate_name(keys.holder), keys.certificate, 0o644, durable=True)
+    write_private(folder / AUTHORITY, keys.authority, 0o644, durable=True)
+    if keys.revoked:
+        write_list(folder, keys.revoked)
+
+
+def write_list(folder: Path, revoked: bytes) -> None:
+    """Put a revocation list in the place of the one that is there. Raises OutputFileError."""
+    write_private(folder / REVOKED, revoked, 0o644, durable=True)
+
+
+def inside_name(name: str) -> str:
+    """What the folder of a host is called; names of deployments may have dots, and none leads out of it."""
+    return f"_{name}" if name.startswith(".") else name
+
+
+def _inside(base: Path, name: str) -> Path:
+    return base / inside_name(name)
+
+
+def _read(path: Path, most: int, *, secret: bool = False, needed: bool = True) -> bytes:
+    try:
+        return read_private(path, most, (os.geteuid(), 0), secret=secret)
+    except FileNotFoundError:
+        if not needed:
+            return b""
+        raise KeysError(f"{path} is not there: copy the folder again from where its authority is") from None
+    except OSError as error:
+        raise KeysError(f"{path} cannot be used: {_reason(error)}") from None
+
+
+def _reason(error: OSError) -> str:
+    if error.errno == errno.ELOOP:
+        return "it is a link; copy the file itself"
+    if error.errno == errno.EACCES:
+        return "this user may not read it; its owner is who runs the host, or root"
+    return error.strerror or str(error)

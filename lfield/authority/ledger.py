@@ -1,0 +1,198 @@
+"""The folder of an authority, on the operator's computer: its key, and all that it has ever made.
+
+    authority.pem  authority.key    its certificate and private key
+    revoked.crl                     the newest revocation list
+    issued/SERIAL.pem               every certificate that it has made, so that each can be revoked
+    hosts/alpha  people/anna        key folders, as they are to be copied (folder.py)
+
+A private key that was copied may be deleted in `hosts` and `people`: renewing does without. Whoever has
+`authority.key` can make keys that may do everything. What is made is in `issued` before anybody can have it.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Literal, NamedTuple
+
+from lfield.authority import folder as folders
+from lfield.authority.identity import Identity, Right, with_brought
+from lfield.authority.judge import Revoked, when
+from lfield.authority.keys import AUTHORITY, MAX_PEM, Holder, Keys
+from lfield.authority.making import Authority, new_authority, read_authority
+from lfield.authority.reading import identity_in, revoked_in
+from lfield.errors import InputFileError, KeysError
+from lfield.text.files import read_bytes
+from lfield.text.private import private_folder, private_locked, write_private
+
+KEY, ISSUED = "authority.key", "issued"
+_FOLDERS: dict[Holder, str] = {"host": "hosts", "person": "people"}
+_NAME = re.compile(r"[A-Za-z0-9_\[][A-Za-z0-9._:\]-]*", re.ASCII)
+
+
+class Row(NamedTuple):
+    """A certificate that was made, and what became of it."""
+
+    who: Identity
+    state: Literal["good", "ended", "revoked"]
+
+
+class Made(NamedTuple):
+    """Keys that were made or renewed, and the folder that has them."""
+
+    who: Identity
+    folder: Path
+
+
+class Ledger:
+    """An authority with its folder. Have it by `opened`, so that two commands do not write at once."""
+
+    def __init__(self, folder: Path, authority: Authority) -> None:
+        self.folder, self.authority = folder, authority
+        self._list = folders.read_list(folder)
+        self.revoked = revoked_in(self._list, authority.certificate) if self._list else Revoked()
+
+    def rows(self, at: float) -> list[Row]:
+        """Everything that was made, by kind and name, the oldest first. Raises KeysError."""
+        found = sorted(self._issued(), key=lambda who: (who.kind, who.name, who.begins, who.serial))
+        return [Row(who, self._state(who, at)) for who in found]
+
+    def make(self, holder: Holder, name: str, may: Iterable[Right], at: float, ends: float) -> Made:
+        """Keys for a host or person who has none that are good. Raises KeysError."""
+        if _NAME.fullmatch(name) is None:
+            raise KeysError(
+                f"{name!r} is no name for keys: write it as the deployment does, in letters, digits, . _ and -"
+            )
+        if good := [row.who for row in self._of(holder, name, at) if row.state == "good"]:
+            raise KeysError(
+                f"{good[-1]} has keys until {when(good[-1].ends)}: 'lfield keys renew {holder} {name}' makes them "
+                f"last longer, 'lfield keys revoke {holder} {name}' ends them"
+            )
+        return self._issue(holder, name, with_brought(may), at, ends)
+
+    def renew(self, holder: Holder, name: str, at: float, ends: float, *, new_key: bool = False) -> Made:
+        """A certificate until later for the newest key of somebody, or for a new one; the old stays good.
+
+        Raises KeysError.
+        """
+        rows = self._of(holder, name, at)
+        if not rows:
+            raise KeysError(f"{holder} {name} has no keys of this authority: 'lfield keys {holder} {name}'")
+        newest = max((row for row in rows), key=lambda row: (row.who.begins, row.who.ends))
+        if newest.state == "revoked":
+            raise KeysError(
+                f"the keys of {newest.who} are revoked: make new ones with 'lfield keys {holder} {name}'"
+            )
+        old = b"" if new_key else self._certificate(newest.who.serial)
+        return self._issue(holder, name, newest.who.may, at, ends, old)
+
+    def renew_authority(self, at: float, ends: float) -> None:
+        """A certificate of the authority until later, for the same key; all that it has made stays good."""
+        self._see_time(at)
+        self.authority = self.authority.renewed(at, ends)
+        write_private(self.folder / AUTHORITY, self.authority.certificate, 0o644, durable=True)
+        for folder in self._key_folders():
+            write_private(folder / AUTHORITY, self.authority.certificate, 0o644)
+
+    def revoke(self, holder: Holder, name: str, at: float) -> list[Identity]:
+        """Put all certificates of somebody on the list. Raises KeysError when there is nothing to revoke."""
+        found = [row.who for row in self._of(holder, name, at) if row.state != "revoked"]
+        if not found:
+            raise KeysError(f"{holder} {name} has no keys of this authority that are not revoked already")
+        return self._revoke(found, at)
+
+    def revoke_serial(self, serial: str, at: float) -> list[Identity]:
+        """Put one certificate on the list, by its number in hex or the beginning of that. Raises KeysError."""
+        found = [who for who in self._issued() if who.serial.startswith(serial.lower().lstrip("0"))]
+        if len(found) != 1:
+            raise KeysError(
+                f"{len(found) or 'no'} certificates have a number that begins with {serial}: see 'lfield keys list'"
+            )
+        if found[0].serial in self.revoked.serials:
+            raise KeysError(f"certificate {serial} of {found[0]} is revoked already")
+        return self._revoke(found, at)
+
+    def _revoke(self, found: list[Identity], at: float) -> list[Identity]:
+        self._see_time(at)
+        serials = self.revoked.serials.union(who.serial for who in found)
+        self.revoked = Revoked(self.revoked.number + 1, serials, at)
+        self._list = self.authority.revocation_list(self.revoked)
+        folders.write_list(self.folder, self._list)
+        for folder in self._key_folders():
+            folders.write_list(folder, self._list)
+        return found
+
+    def _issue(
+        self,
+        holder: Holder,
+        name: str,
+        may: Iterable[Right],
+        at: float,
+        ends: float,
+        renews: bytes = b"",
+    ) -> Made:
+        self._see_time(at)
+        issued = self.authority.issue(holder, name, may=may, at=at, ends=ends, renews=renews)
+        who = identity_in(issued.certificate, self.authority.certificate)
+        write_private(self.folder / ISSUED / f"{who.serial}.pem", issued.certificate, 0o644, durable=True)
+        folder = self.folder / _FOLDERS[holder] / name
+        keys = Keys(holder, self.authority.certificate, issued.certificate, issued.key, self._list)
+        folders.write(folder, keys)
+        return Made(who, folder)
+
+    def _see_time(self, at: float) -> None:
+        """What is made later must not begin earlier: a begin is our word that it was so late already."""
+        last = max((who.begins for who in self._issued()), default=0.0)
+        if at < max(last, self.revoked.at) - 1.0:
+            raise KeysError(
+                f"the clock of this computer says {when(at)}, and this authority has made something "
+                f"{when(max(last, self.revoked.at))}: set the clock"
+            )
+
+    def _of(self, holder: Holder, name: str, at: float) -> list[Row]:
+        return [row for row in self.rows(at) if (row.who.kind, row.who.name) == (holder, name)]
+
+    def _state(self, who: Identity, at: float) -> Literal["good", "ended", "revoked"]:
+        if who.serial in self.revoked.serials:
+            return "revoked"
+        return "ended" if at >= who.ends else "good"
+
+    def _issued(self) -> Iterator[Identity]:
+        for path in sorted((self.folder / ISSUED).glob("*.pem")):
+            yield identity_in(self._certificate(path.stem), self.authority.certificate)
+
+    def _certificate(self, serial: str) -> bytes:
+        try:
+            return read_bytes(self.folder / ISSUED / f"{serial}.pem", MAX_PEM)
+        except InputFileError as error:
+            raise KeysError(str(error)) from None
+
+    def _key_folders(self) -> list[Path]:
+        """The folders that were made to be copied, as far as they are still there."""
+        found = (self.folder / below for below in _FOLDERS.values())
+        return sorted(path for below in found if below.is_dir() for path in below.iterdir() if path.is_dir())
+
+
+def begin(folder: Path, at: float, ends: float) -> Ledger:
+    """A new authority in a folder that has none, from now (`at`) until `ends`. Raises KeysError."""
+    if (folder / KEY).exists() or (folder / AUTHORITY).exists():
+        raise KeysError(
+            f"{folder} has an authority already: name another folder, or remove that one yourself"
+        )
+    made = new_authority(at, ends)
+    private_folder(folder)
+    with private_locked(folder):
+        write_private(folder / KEY, made.key, 0o600, durable=True)
+        write_private(folder / AUTHORITY, made.certificate, 0o644, durable=True)
+    return Ledger(folder, made)
+
+
+@contextmanager
+def opened(folder: Path) -> Iterator[Ledger]:
+    """The authority in a folder, for this process alone. Raises KeysError."""
+    if not (folder / AUTHORITY).exists():
+        raise KeysError(f"{folder} has no authority: 'lfield keys init' makes one, --authority names another")
+    with private_locked(folder):
+        yield Ledger(folder, read_authority(folders.read_trusted(folder), folders.read_secret(folder / KEY)))

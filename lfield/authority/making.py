@@ -1,0 +1,241 @@
+"""The authority of a team: makes the certificates of hosts and persons, and the list of those revoked.
+
+All keys are Ed25519. A certificate says its identity as `identity.py` reads it; it holds from the moment in
+which it is made, never from later on, so its begin is the authority's word that it was this time already
+(`believed.py`). A host may be called and call; a person only calls, so that nobody who has a person's keys
+can pass for a host. Who makes them gives the time: no clock is read here.
+"""
+
+from __future__ import annotations
+
+import datetime
+import hashlib
+import math
+from collections.abc import Iterable
+from typing import NamedTuple
+
+from cryptography import x509
+from cryptography.exceptions import UnsupportedAlgorithm
+from cryptography.hazmat.primitives import serialization
+from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey, Ed25519PublicKey
+from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
+
+from lfield.authority.identity import MAX_NAME, Right, uri_of
+from lfield.authority.judge import Revoked
+from lfield.authority.keys import MAX_LIST, Holder
+from lfield.errors import KeysError
+
+#: The last second that a certificate can tell.
+_LAST = datetime.datetime(9999, 12, 31, 23, 59, 59, tzinfo=datetime.UTC).timestamp()
+
+
+class Issued(NamedTuple):
+    """A certificate, and the private key that was made for it, both PEM; no key where it was there before."""
+
+    certificate: bytes
+    key: bytes = b""
+
+
+class Authority:
+    """An authority with its private key. `fingerprint` is its name: SHA-256 of its public key, in hex."""
+
+    def __init__(self, certificate: x509.Certificate, key: Ed25519PrivateKey) -> None:
+        self._certificate, self._key = certificate, key
+        self.fingerprint = fingerprint_of(key.public_key())
+
+    @property
+    def certificate(self) -> bytes:
+        """What everybody trusts, PEM."""
+        return self._certificate.public_bytes(serialization.Encoding.PEM)
+
+    @property
+    def key(self) -> bytes:
+        """Its private key, PEM. Whoever has it is the authority."""
+        return _private_pem(self._key)
+
+    @property
+    def ends(self) -> float:
+        """Until when it holds, in seconds since 1970 UTC; nothing that it makes holds longer."""
+        return self._certificate.not_valid_after_utc.timestamp()
+
+    def issue(
+        self,
+        holder: Holder,
+        name: str,
+        *,
+        may: Iterable[Right] = (),
+        at: float,
+        ends: float,
+        renews: bytes = b"",
+    ) -> Issued:
+        """A certificate from now (`at`) until `ends`, for a new key, or that of a certificate it `renews`.
+
+        It ends with the authority at the latest. Raises KeysError.
+        """
+        if not 0 < len(name) <= MAX_NAME or not name.isprintable():
+            raise KeysError(
+                f"{name!r} is no name: give one of 1 to {MAX_NAME} characters that can be printed"
+            )
+        if renews:
+            key, public = None, public_in(certificate_in(renews))
+        else:
+            key = Ed25519PrivateKey.generate()
+            public = key.public_key()
+        usages = [ExtendedKeyUsageOID.CLIENT_AUTH]
+        if holder == "host":
+            usages.append(ExtendedKeyUsageOID.SERVER_AUTH)
+        identity = x509.UniformResourceIdentifier(uri_of(holder, name, may))
+        builder = (
+            _begun(self._certificate.subject, _subject(f"{holder} {name}"), public, at, min(ends, self.ends))
+            .add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
+            .add_extension(_usage(signs_certificates=False), critical=True)
+            .add_extension(x509.ExtendedKeyUsage(usages), critical=False)
+            .add_extension(x509.SubjectAlternativeName([identity]), critical=False)
+            .add_extension(
+                x509.AuthorityKeyIdentifier.from_issuer_public_key(self._key.public_key()), critical=False
+            )
+        )
+        made = builder.sign(self._key, None)
+        pem = made.public_bytes(serialization.Encoding.PEM)
+        return Issued(pem, _private_pem(key) if key is not None else b"")
+
+    def renewed(self, at: float, ends: float) -> Authority:
+        """The same key and name with a certificate of its own until later; what it has made stays good."""
+        return Authority(_own_certificate(self._key, at, ends), self._key)
+
+    def revocation_list(self, revoked: Revoked) -> bytes:
+        """The list, DER. Its end says nothing: it holds until there is one with a higher number."""
+        builder = (
+            x509.CertificateRevocationListBuilder()
+            .issuer_name(self._certificate.subject)
+            .last_update(_moment(revoked.at))
+            .next_update(_moment(_LAST))
+            .add_extension(x509.CRLNumber(revoked.number), critical=False)
+            .add_extension(
+                x509.AuthorityKeyIdentifier.from_issuer_public_key(self._key.public_key()), critical=False
+            )
+        )
+        for serial in sorted(revoked.serials):
+            entry = x509.RevokedCertificateBuilder().serial_number(int(serial, 16))
+            builder = builder.add_revoked_certificate(entry.revocation_date(_moment(revoked.at)).build())
+        data = builder.sign(self._key, None).public_bytes(serialization.Encoding.DER)
+        if len(data) > MAX_LIST:
+            raise KeysError(
+                f"the revocation list is full ({len(revoked.serials)} certificates): begin a new authority "
+                "with 'lfield keys init' in another folder, and give everybody keys of that"
+            )
+        return data
+
+
+def new_authority(at: float, ends: float) -> Authority:
+    """An authority with a key of its own, from now (`at`) until `ends`, in seconds since 1970 UTC."""
+    key = Ed25519PrivateKey.generate()
+    return Authority(_own_certificate(key, at, ends), key)
+
+
+def read_authority(certificate: bytes, key: bytes) -> Authority:
+    """The authority in two PEM texts. Raises KeysError."""
+    read, private = certificate_in(certificate), private_in(key)
+    if fingerprint_of(public_in(read)) != fingerprint_of(private.public_key()):
+        raise KeysError("authority.key is not the key of authority.pem: put back both of one copy")
+    return Authority(read, private)
+
+
+def certificate_in(pem: bytes) -> x509.Certificate:
+    """The first certificate in a PEM text. Raises KeysError."""
+    try:
+        return x509.load_pem_x509_certificate(pem)
+    except ValueError:
+        raise KeysError("it is no certificate (PEM); copy it again from the authority's folder") from None
+
+
+def private_in(pem: bytes) -> Ed25519PrivateKey:
+    """The private key in a PEM text. Raises KeysError."""
+    try:
+        key = serialization.load_pem_private_key(pem, None)
+    except (ValueError, TypeError, UnsupportedAlgorithm):
+        raise KeysError("it is no private key (PEM, no password); copy it again") from None
+    if not isinstance(key, Ed25519PrivateKey):
+        raise KeysError("it is no Ed25519 key, which all keys of lfield are; make keys with 'lfield keys'")
+    return key
+
+
+def fingerprint_of(public: Ed25519PublicKey) -> str:
+    """SHA-256 of a public key (its SubjectPublicKeyInfo), in hex."""
+    info = public.public_bytes(serialization.Encoding.DER, serialization.PublicFormat.SubjectPublicKeyInfo)
+    return hashlib.sha256(info).hexdigest()
+
+
+def public_in(certificate: x509.Certificate) -> Ed25519PublicKey:
+    """The public key of a certificate. Raises KeysError."""
+    try:
+        public = certificate.public_key()
+    except (ValueError, UnsupportedAlgorithm):
+        public = None
+    if not isinstance(public, Ed25519PublicKey):
+        raise KeysError("it is no certificate of an Ed25519 key; make certificates with 'lfield keys'")
+    return public
+
+
+def _own_certificate(key: Ed25519PrivateKey, at: float, ends: float) -> x509.Certificate:
+    """The certificate of an authority, which it signs itself. It can only sign what is none."""
+    public = key.public_key()
+    name = _subject(fingerprint_of(public))
+    return (
+        _begun(name, name, public, at, ends)
+        .add_extension(x509.BasicConstraints(ca=True, path_length=0), critical=True)
+        .add_extension(_usage(signs_certificates=True), critical=True)
+        .sign(key, None)
+    )
+
+
+def _begun(
+    issuer: x509.Name, subject: x509.Name, public: Ed25519PublicKey, at: float, ends: float
+) -> x509.CertificateBuilder:
+    if not 0.0 <= at < ends:
+        raise KeysError("the certificate would end before it begins; give it longer, or renew the authority")
+    return (
+        x509.CertificateBuilder()
+        .issuer_name(issuer)
+        .subject_name(subject)
+        .public_key(public)
+        .serial_number(x509.random_serial_number())
+        .not_valid_before(_moment(at))
+        .not_valid_after(_moment(ends))
+        .add_extension(x509.SubjectKeyIdentifier.from_public_key(public), critical=False)
+    )
+
+
+def _subject(name: str) -> x509.Name:
+    """For people who look at it with other tools; a common name has 64 characters at most."""
+    return x509.Name(
+        [
+            x509.NameAttribute(NameOID.ORGANIZATION_NAME, "lfield"),
+            x509.NameAttribute(NameOID.COMMON_NAME, name[:64]),
+        ]
+    )
+
+
+def _usage(*, signs_certificates: bool) -> x509.KeyUsage:
+    return x509.KeyUsage(
+        digital_signature=not signs_certificates,
+        key_cert_sign=signs_certificates,
+        crl_sign=signs_certificates,
+        content_commitment=False,
+        key_encipherment=False,
+        data_encipherment=False,
+        key_agreement=False,
+        encipher_only=False,
+        decipher_only=False,
+    )
+
+
+def _private_pem(key: Ed25519PrivateKey) -> bytes:
+    return key.private_bytes(
+        serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, serialization.NoEncryption()
+    )
+
+
+def _moment(seconds: float) -> datetime.datetime:
+    """Certificates have whole seconds."""
+    return datetime.datetime.fromtimestamp(math.floor(min(seconds, _LAST)), datetime.UTC)

@@ -1,0 +1,138 @@
+"""What certificates and revocation lists say, once it is seen that the authority has signed them.
+
+On a link TLS does this. Here it is for what comes without one: the own keys, the signer of a bundle, a list.
+Everything may be from anywhere: sizes are bounded, and whatever is wrong with it is a KeysError.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+from typing import TypeVar
+
+from cryptography import x509
+from cryptography.exceptions import InvalidSignature, UnsupportedAlgorithm
+from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
+from cryptography.hazmat.primitives.serialization import Encoding
+
+from lfield.authority.identity import Identity, from_uris
+from lfield.authority.judge import Revoked
+from lfield.authority.keys import MAX_LIST, MAX_PEM, Keys
+from lfield.authority.making import certificate_in, fingerprint_of, private_in, public_in
+from lfield.errors import KeysError
+
+Read = TypeVar("Read")
+
+
+def identity_in(certificate: bytes, authority: bytes) -> Identity:
+    """Whom a certificate names; both PEM. Raises KeysError, also when another authority has signed it."""
+    return identity_of_certificate(certificate_in(certificate), authority)
+
+
+def identity_in_der(certificate: bytes, authority: bytes) -> Identity:
+    """The same of a certificate in DER, as it travels."""
+    return identity_of_certificate(certificate_in_der(certificate), authority)
+
+
+def certificate_in_der(data: bytes) -> x509.Certificate:
+    """A certificate in DER. Raises KeysError."""
+    if len(data) > MAX_PEM:
+        raise KeysError("the certificate is too large")
+    return _sound("the certificate", lambda: x509.load_der_x509_certificate(data))
+
+
+def der_of(certificate: bytes) -> bytes:
+    """A certificate in a PEM text, as it travels. Raises KeysError."""
+    return certificate_in(certificate).public_bytes(Encoding.DER)
+
+
+def is_signed_by(certificate: x509.Certificate, signature: bytes, text: bytes) -> bool:
+    """Whether the key of a certificate has signed a text. Raises KeysError for one of another kind."""
+    try:
+        public_in(certificate).verify(signature, text)
+    except InvalidSignature:
+        return False
+    return True
+
+
+def identity_of_certificate(certificate: x509.Certificate, authority: bytes) -> Identity:
+    """Whom a certificate names, if the authority in a PEM text has signed it. Raises KeysError."""
+    trusted = certificate_in(authority)
+    try:
+        certificate.verify_directly_issued_by(trusted)
+    except (InvalidSignature, ValueError, TypeError, UnsupportedAlgorithm):
+        ours = fingerprint_of(public_in(trusted))[:12]
+        raise KeysError(
+            f"the certificate is not of this authority ({ours}): give everybody keys of one authority"
+        ) from None
+    return _sound("the certificate", lambda: _named(certificate, fingerprint_of(public_in(trusted))))
+
+
+def fingerprint_in(authority: bytes) -> str:
+    """The fingerprint of the authority in a PEM text. Raises KeysError."""
+    return fingerprint_of(public_in(certificate_in(authority)))
+
+
+def revoked_in(data: bytes, authority: bytes) -> Revoked:
+    """A revocation list, DER, if the authority in a PEM text has signed it. Raises KeysError."""
+    if len(data) > MAX_LIST:
+        raise KeysError("the revocation list is too large")
+    public = public_in(certificate_in(authority))
+    return _sound("the revocation list", lambda: _listed(data, public))
+
+
+def checked(keys: Keys) -> Identity:
+    """Whose keys these are. Raises KeysError when they do not fit one another."""
+    who = identity_in(keys.certificate, keys.authority)
+    public = public_in(certificate_in(keys.certificate))
+    if who.kind != keys.holder:
+        raise KeysError(f"the certificate is not that of a {keys.holder}, but of {who}")
+    if fingerprint_of(private_in(keys.key).public_key()) != fingerprint_of(public):
+        raise KeysError(
+            f"the private key is not that of the certificate of {who}: copy both again, from the folder "
+            "that 'lfield keys' has made"
+        )
+    if keys.revoked:
+        revoked_in(keys.revoked, keys.authority)
+    return who
+
+
+def _named(certificate: x509.Certificate, authority: str) -> Identity:
+    names = certificate.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
+    return from_uris(
+        names.get_values_for_type(x509.UniformResourceIdentifier),
+        serial=certificate.serial_number,
+        begins=certificate.not_valid_before_utc.timestamp(),
+        ends=certificate.not_valid_after_utc.timestamp(),
+        authority=authority,
+    )
+
+
+def _listed(data: bytes, public: Ed25519PublicKey) -> Revoked:
+    read = x509.load_der_x509_crl(data)
+    # Other bytes that read the same would be another list of the same number.
+    if not read.is_signature_valid(public) or read.public_bytes(Encoding.DER) != data:
+        raise KeysError("the revocation list is not signed by this authority: copy it again")
+    number = read.extensions.get_extension_for_class(x509.CRLNumber).value.crl_number
+    serials = frozenset(f"{entry.serial_number:x}" for entry in read)
+    return Revoked(number, serials, read.last_update_utc.timestamp())
+
+
+def _sound(what: str, read: Callable[[], Read]) -> Read:
+    """What is read, or the sentence that it cannot be."""
+    try:
+        # What the library only warns of, as a number below 0, is nothing that an authority of ours writes.
+        with warnings.catch_warnings(action="error"):
+            return read()
+    except (
+        Warning,
+        ValueError,
+        TypeError,
+        OverflowError,
+        UnsupportedAlgorithm,
+        x509.ExtensionNotFound,
+        x509.InvalidVersion,
+    ) as error:
+        raise KeysError(f"{what} cannot be read ({error}): copy it again") from None
+    except (x509.DuplicateExtension, x509.UnsupportedGeneralNameType) as error:
+        raise KeysError(f"{what} is not as lfield makes it ({error}): make it with 'lfield keys'") from None

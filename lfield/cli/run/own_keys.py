@@ -1,0 +1,118 @@
+"""The keys that `lfield up` runs a host with: of a folder, or those that `up --all` has made for its run."""
+
+from __future__ import annotations
+
+import argparse
+import os
+from contextlib import suppress
+from dataclasses import replace
+from typing import TYPE_CHECKING, NamedTuple
+
+from lfield.authority.keys import Keys
+from lfield.mission.access.release import Release
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping
+
+    from lfield.host.process.proving import Proof
+    from lfield.mission.mission import Mission
+    from lfield.net.tls import Tls
+
+
+def proof_of(host: str, args: argparse.Namespace) -> Proof | None:
+    """With what the host proves who it is; None where there are no keys. Raises KeysError."""
+    from lfield.authority import folder
+    from lfield.host.process.proving import Proof
+    from lfield.text.private import state_folder
+
+    if args.keys_fd is not None:
+        given = _inherited(args.keys_fd)
+        return Proof(given.keys, vouched=given.bundle)
+    found = folder.find("host", host, args.keys, os.environ)
+    if found is None:
+        return None
+    # A service may read its keys, and write what it has to keep elsewhere.
+    kept = state_folder() / "keys" / folder.inside_name(host)
+    return Proof(folder.read(found, "host"), (found, kept), args.lasts)
+
+
+def signed_here(mission: Mission, args: argparse.Namespace) -> Mission:
+    """A mission that was built just now, of this user's files: whoever may sign bundles has signed it by that.
+
+    Without such keys it stays as it is, and a host says what is missing. Raises KeysError for keys that
+    cannot be used.
+    """
+    import time
+
+    from lfield.authority import folder
+    from lfield.authority.signature import sign
+    from lfield.errors import KeysError
+
+    try:
+        found = folder.find("person", folder.ME, args.keys, os.environ)
+    except KeysError:
+        # What is named has the keys of the host alone.
+        return mission
+    if found is None:
+        return mission
+    keys = folder.read(found, "person")
+    try:
+        signature = sign(mission.release.digest, keys, time.time())
+    except KeysError:
+        return mission
+    return replace(mission, release=replace(mission.release, signature=signature))
+
+
+def tls_for_asking(host: str, args: argparse.Namespace) -> Tls | None:
+    """What somebody asks the others with who starts a host: this user's keys, else the host's.
+
+    Raises KeysError.
+    """
+    from lfield.authority import folder
+    from lfield.errors import KeysError
+    from lfield.net.tls import Tls
+
+    with suppress(KeysError):
+        found = folder.find("person", folder.ME, args.keys, os.environ)
+        if found is not None:
+            return Tls(folder.read(found, "person"))
+    proof = proof_of(host, args)
+    return Tls(proof.keys) if proof is not None else None
+
+
+class _Given(NamedTuple):
+    """What a host is given that was started with all others: its keys, and the bundle that is to run."""
+
+    keys: Keys
+    bundle: Release
+
+
+def minted(hosts: Iterable[str], bundle: Release) -> Mapping[str, int]:
+    """New keys for each of these hosts, known to nobody else: descriptors that a process can inherit.
+
+    They are in memory only, and gone with the processes of the run. Whoever has such keys was started by this
+    user to run this bundle: that is in the descriptor too, so no host has to load what verifies signatures.
+    """
+    import time
+
+    import msgspec
+
+    from lfield.authority.minted import Minted
+
+    now = time.time()
+    made = Minted.for_hosts(hosts, now)
+    bundle = replace(bundle, by="whoever started it", at=now)
+    descriptors = {}
+    for host, keys in made.hosts.items():
+        descriptors[host] = os.memfd_create("keys", 0)
+        with open(descriptors[host], "wb", closefd=False) as file:
+            file.write(msgspec.msgpack.encode(_Given(keys, bundle)))
+    return descriptors
+
+
+def _inherited(descriptor: int) -> _Given:
+    import msgspec
+
+    with open(descriptor, "rb") as file:
+        file.seek(0)
+        return msgspec.msgpack.decode(file.read(), type=_Given)

@@ -1,0 +1,122 @@
+"""With what a host proves who it is, and whom it believes: made ready before anything of it moves.
+
+Without keys it listens at no address: commands of this computer find it at its door, and a team of several
+hosts does not begin.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+from lfield.authority import folder
+from lfield.authority.admission import Judged
+from lfield.authority.believed import BelievedTime
+from lfield.authority.identity import Identity
+from lfield.authority.judge import NOBODY, Revoked, when
+from lfield.authority.keys import Keys
+from lfield.clock import Clock
+from lfield.errors import KeysError, OutputFileError, UsageError
+from lfield.journal.pages import BundlePage, Page
+from lfield.mission.access.release import FROM_FILES, Release, Taken, taken
+from lfield.mission.mission import Mission
+from lfield.net.tls import Tls
+
+
+@dataclass(frozen=True, slots=True)
+class Proof:
+    """The keys of a host. In the first of these `folders` that lets it, a newer revocation list is kept.
+
+    For so many seconds the mission `lasts`: keys that end before that are refused. Whoever made the keys for
+    this run alone vouches for the bundle `vouched`: its signature is not asked for.
+    """
+
+    keys: Keys
+    folders: Sequence[Path] = ()
+    lasts: float = 0.0
+    vouched: Release = FROM_FILES
+
+
+def insist_on_keys(host: str, hosts: Sequence[str]) -> None:
+    """See that a host without keys has nobody to talk to. Raises UsageError."""
+    if len(hosts) > 1:
+        raise UsageError(
+            f"{host} has no keys, and no host listens on a network without: give it the folder that "
+            f"'lfield keys host {host}' makes, with --keys, $LFIELD_KEYS or as /etc/lfield/keys/{host} "
+            "('lfield keys init' begins a team's authority); --all runs all hosts here, and needs none"
+        )
+
+
+def admitted(proof: Proof, host: str, clock: Clock, times: Collection[float]) -> tuple[Tls, Judged]:
+    """What carries the links of a host, and who may have one.
+
+    `times` are those of its journal: it was so late already. One after the end of its keys is of a clock that
+    was wrong, or they will be seen to have ended.
+
+    Raises KeysError for keys of somebody else, that are revoked, or that end too soon.
+    """
+    tls = Tls(proof.keys)
+    own = tls.own()
+    if (own.kind, own.name) != ("host", host):
+        raise KeysError(
+            f"these are the keys of {own}, not of host {host}: 'lfield keys host {host}' makes those"
+        )
+    revoked, data = _newest(proof)
+    time = BelievedTime(clock, max((at for at in times if at < own.ends), default=0.0))
+    admission = Judged(proof.keys, own, time, revoked, data)
+    _insist_on_good(own, revoked, time.now(), proof.lasts)
+    admission.keep = partial(_keep, proof.folders)
+    return tls, admission
+
+
+def insist_on_signature(mission: Mission, proof: Proof, admission: Judged, kept: Collection[Page]) -> Taken:
+    """The bundle of a mission with who has signed it, if this host takes it; `kept` is what its journal has.
+
+    Raises SignatureError.
+    """
+    release = mission.release
+    if release.digest and release.digest == proof.vouched.digest:
+        return Taken(proof.vouched, "")
+    return taken(
+        release,
+        proof.keys.authority,
+        admission.own.authority,
+        at=admission.time.now(),
+        revoked=admission.revoked,
+        runs=BundlePage(release.digest) in kept,
+    )
+
+
+def _insist_on_good(own: Identity, revoked: Revoked, now: float, lasts: float) -> None:
+    if own.serial in revoked.serials:
+        raise KeysError(
+            f"the keys of {own} are revoked (list {revoked.number}): make new ones with 'lfield keys {own}'"
+        )
+    if own.ends < now + lasts:
+        raise KeysError(
+            f"the certificate of {own} ends {when(own.ends)}, and the mission may last {lasts:g} s from "
+            f"{when(now)} on: renew it with 'lfield keys renew {own}', or say with --lasts how long it takes"
+        )
+
+
+def _newest(proof: Proof) -> tuple[Revoked, bytes]:
+    """The revocation list with the highest number, of those that are kept."""
+    lists = [proof.keys.revoked, *(folder.read_list(place) for place in proof.folders)]
+    if not any(lists):
+        return NOBODY, b""
+    # It is seldom there, and cryptography is large.
+    from lfield.authority.reading import revoked_in
+
+    read = [(revoked_in(data, proof.keys.authority), data) for data in lists if data]
+    return max(read, key=lambda found: found[0].number)
+
+
+def _keep(folders: Sequence[Path], data: bytes) -> None:
+    """Keep a list for the next life; who has keys of a service may not write to their folder."""
+    for place in folders:
+        with suppress(OutputFileError):
+            folder.write_list(place, data)
+            return

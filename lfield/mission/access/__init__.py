@@ -1,0 +1,1 @@
+"""Who may do what in a mission: its access file, and what the rules of it say."""

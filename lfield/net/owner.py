@@ -1,0 +1,60 @@
+"""The host that links belong to, as the links see it, and how they complain to it."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Protocol
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Collection
+
+    from lfield.net.transport import Link
+    from lfield.wire.coordinators import Transfer
+    from lfield.wire.messages import Control, Hello
+
+#: How many different complaints are remembered, so as not to be repeated.
+MOST_COMPLAINTS = 100
+
+
+class Owner(Protocol):
+    """The host the links belong to."""
+
+    def hello(self) -> Hello:
+        """What this host says of itself now."""
+
+    def linked(self, hello: Hello) -> None:
+        """A host can be talked to."""
+
+    def unlinked(self, host: str, *, quietly: bool) -> None:
+        """A host cannot be talked to any more; `quietly`, since this host did not want to."""
+
+    def wanted(self) -> Collection[str]:
+        """The hosts to have links with now."""
+
+    def received(self, host: str, message: Control, link: Link) -> None:
+        """A message came; `host` is '' when an observer sent it."""
+
+    def arrived(self, host: str, header: Transfer, block: memoryview) -> None:
+        """A coordinator came."""
+
+    def too_large(self, host: str, header: Transfer, size: int) -> None:
+        """A coordinator came whose block was not even read."""
+
+    def note(self, text: str) -> None:
+        """A line for the log."""
+
+
+class Complaints:
+    """What is wrong with links, each said once: a caller that is refused calls again every second."""
+
+    def __init__(self, note: Callable[[str], None]) -> None:
+        self._note = note
+        self._said: set[str] = set()
+
+    def say(self, text: str) -> None:
+        """A line for the log, unless it is there."""
+        if text in self._said:
+            return
+        if len(self._said) >= MOST_COMPLAINTS:
+            self._said.clear()
+        self._said.add(text)
+        self._note(text)

@@ -1,0 +1,196 @@
+"""A link over a connection of asyncio: plain between processes of one computer, else in TLS."""
+
+from __future__ import annotations
+
+import asyncio
+import socket
+from typing import TYPE_CHECKING, cast
+
+from lfield.authority.identity import STRANGER, Identity
+from lfield.errors import AddressError, LfieldError, WireError
+from lfield.net.door import caller_at
+from lfield.net.framed import FramedLink
+from lfield.net.transport import join_address
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from lfield.net.tls import Channel, Tls
+    from lfield.net.transport import Link, LinkHandler
+    from lfield.wire.framing import Buffer
+    from lfield.wire.messages import Role
+
+#: What the address of a Unix socket begins with; the path follows.
+UNIX = "unix:"
+#: Whoever called at a Unix socket, in sentences: it has no address.
+CALLER = "a command on this computer"
+#: Seconds that a peer has to take the last words of a link that is closed.
+LAST_WORDS = 5.0
+#: So many bytes may wait at most for somebody who only looks: some of the longest answers.
+FOR_OBSERVERS = 4 << 20
+
+
+class StreamLink(FramedLink, asyncio.Protocol):
+    """One connection, either end, in plain bytes. `resident` says who is at an address of a network."""
+
+    _transport: asyncio.Transport
+
+    def __init__(
+        self,
+        max_block: int,
+        max_pending: int,
+        on_link: Callable[[Link], LinkHandler],
+        resident: Callable[[str], Identity],
+    ) -> None:
+        super().__init__("a peer", max_block)
+        self._max_pending = max_pending
+        self._on_link, self._resident = on_link, resident
+        self._loop = asyncio.get_running_loop()
+        self._waiting: list[Buffer] = []
+        self._patience: asyncio.TimerHandle | None = None
+
+    async def ready(self) -> None:
+        """Return when messages can be sent. Raises GreetingError, WireError and AddressError."""
+
+    def write(self, data: Buffer) -> None:
+        """Messages of one turn leave together: a system call costs more than all the rest of a hop."""
+        if not self._waiting:
+            self._loop.call_soon(self._flush)
+        self._waiting.append(data)
+
+    def write_now(self, data: Buffer) -> None:
+        """Nothing is planned for later where nothing waits: mostly a coordinator leaves alone."""
+        if self._waiting:
+            self._waiting.append(data)
+            self._flush()
+        elif not self._transport.is_closing():
+            self._put(data)
+
+    def _flush(self) -> None:
+        waiting, self._waiting = self._waiting, []
+        if waiting and not self._transport.is_closing():
+            self._put(waiting[0] if len(waiting) == 1 else b"".join(waiting))
+
+    def _put(self, data: Buffer) -> None:
+        self._transport.write(data)
+
+    def greeted(self, role: Role) -> None:
+        """See `Link.greeted`."""
+        super().greeted(role)
+        if role == "observer" and self._max_pending > FOR_OBSERVERS:
+            self._max_pending = FOR_OBSERVERS
+            self._transport.set_write_buffer_limits(high=self._max_pending)
+
+    def close(self) -> None:
+        self._flush()
+        self.closed = True
+        self._transport.close()
+        if self._patience is None and self._transport.get_write_buffer_size():
+            self._patience = self._loop.call_later(LAST_WORDS, self._transport.abort)
+
+    def abort(self) -> None:
+        self.closed = True
+        self._transport.abort()
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        self._transport = cast("asyncio.Transport", transport)
+        self.peer = socket_address(transport.get_extra_info("peername"))
+        made = transport.get_extra_info("socket")
+        if made.family == socket.AF_UNIX:
+            self.who = caller_at(made)
+        else:
+            # A hop is one small write that nobody answers: it must not wait to be joined by more.
+            made.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            self.who = self._resident(self.peer)
+        self._transport.set_write_buffer_limits(high=self._max_pending)
+        self.handler = self._on_link(self)
+
+    def data_received(self, data: bytes) -> None:
+        self.received(data)
+
+    def pause_writing(self) -> None:
+        """Asyncio's word for: more bytes wait than `max_pending`."""
+        self._error = WireError(f"{self.peer} does not read: over {self._max_pending} bytes wait for it")
+        self.closed = True
+        self._transport.abort()
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        if self._patience is not None:
+            self._patience.cancel()
+        self.finished(AddressError(self.peer, f"the connection was lost: {exc}") if exc else None)
+
+
+class TlsLink(StreamLink):
+    """The same in TLS, which proves who is there. Of whoever is called nothing is held before bytes come."""
+
+    def __init__(
+        self,
+        max_block: int,
+        max_pending: int,
+        on_link: Callable[[Link], LinkHandler],
+        tls: Tls,
+        *,
+        calls: bool,
+    ) -> None:
+        super().__init__(max_block, max_pending, on_link, nobody_known)
+        self._tls, self._calls = tls, calls
+        self._channel: Channel | None = None
+        self._proven: asyncio.Future[None] = self._loop.create_future()
+
+    async def ready(self) -> None:
+        await self._proven
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        super().connection_made(transport)
+        if self._calls:
+            self._channel = self._tls.channel(calls=True)
+            self._transport.write(self._channel.take())
+
+    def data_received(self, data: bytes) -> None:
+        channel = self._channel = self._channel or self._tls.channel(calls=False)
+        try:
+            for plain in channel.feed(data):
+                self.who = channel.who
+                self.received(plain)
+                if self.closed:
+                    return
+        except LfieldError as error:
+            self._error = self._error or error
+            self._say(channel)
+            self.close()
+            return
+        self._say(channel)
+        if channel.proven and not self._proven.done():
+            self.who = channel.who
+            self._proven.set_result(None)
+
+    def _put(self, data: Buffer) -> None:
+        # Before it is known who is there, there is nobody to tell anything.
+        if self._channel is not None and self._channel.proven:
+            self._transport.write(self._channel.seal(data))
+
+    def _say(self, channel: Channel) -> None:
+        if data := channel.take():
+            self._transport.write(data)
+
+    def finished(self, error: LfieldError | None) -> None:
+        # Now, and not when the collector finds this link: of strangers that would pile up until then.
+        self._channel = None
+        if not self._calls or (self._proven.done() and not self._proven.cancelled()):
+            super().finished(error)
+        elif not self._proven.done():
+            # Whoever calls hears it from `connect`, and has no link.
+            lost = AddressError(self.peer, "it closed the connection before it had proven who it is")
+            self._proven.set_exception(self._error or error or lost)
+
+
+def nobody_known(address: str) -> Identity:
+    """Who is at an address: on a network that is no proof of anything."""
+    return STRANGER
+
+
+def socket_address(name: str | tuple[str, int] | tuple[str, int, int, int]) -> str:
+    """The address of a socket, as transports have them."""
+    if isinstance(name, str):
+        return f"{UNIX}{name}" if name else CALLER
+    return join_address(name[0], name[1])

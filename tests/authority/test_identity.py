@@ -1,0 +1,139 @@
+"""Whom a certificate names, as `getpeercert()` gives it."""
+
+from __future__ import annotations
+
+import math
+import ssl
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from lfield.authority.identity import (
+    ALL,
+    NONE,
+    STRANGER,
+    Identity,
+    Right,
+    from_uris,
+    identity_of,
+    in_order,
+    seconds_of,
+    uri_of,
+    with_brought,
+)
+
+FINGERPRINT = "ab" * 32
+
+
+def peer(*uris: str, **changed: Any) -> dict[str, Any]:
+    """What the ssl module says of a peer's certificate."""
+    return {
+        "subject": ((("commonName", "alpha"),),),
+        "issuer": ((("organizationName", "lfield"),), (("commonName", FINGERPRINT),)),
+        "version": 3,
+        "serialNumber": "0A1B",
+        "notBefore": "Nov 23 20:00:00 2026 GMT",
+        "notAfter": "Nov  3 20:00:00 2027 GMT",
+        "subjectAltName": (*(("URI", uri) for uri in uris),),
+    } | changed
+
+
+def test_a_host_and_a_person() -> None:
+    begins, ends = 1795464000.0, 1825272000.0
+    assert identity_of(peer("lfield://host/alpha")) == Identity(
+        "host", "alpha", NONE, "a1b", begins, ends, FINGERPRINT
+    )
+    assert identity_of(peer("lfield://person/anna?may=observe,stop")) == Identity(
+        "person", "anna", frozenset({Right.OBSERVE, Right.STOP}), "a1b", begins, ends, FINGERPRINT
+    )
+
+
+def test_names_of_others_beside_ours_do_no_harm() -> None:
+    both = peer("https://example.org/", "lfield://host/alpha")
+    both["subjectAltName"] += (("DNS", "beta"),)
+    assert identity_of(both).name == "alpha"
+
+
+@pytest.mark.parametrize(
+    "uris",
+    [
+        (),
+        ("https://example.org/host/alpha",),
+        ("lfield://host/alpha", "lfield://host/beta"),
+        ("lfield://host/alpha", "LFIELD://host/beta"),
+        ("lfield://host/",),
+        ("lfield://host/alpha/beta",),
+        ("lfield://host/alpha?may=command",),
+        ("lfield://host/%61lpha",),
+        ("lfield://host/al%0Apha",),
+        ("lfield://host/%FF",),
+        ("lfield://host/" + "a" * 129,),
+        ("lfield://local/root",),
+        ("lfield://person/anna",),
+        ("lfield://person/anna?may=observe#x",),
+        ("lfield://person/anna?may=observe\n",),
+    ],
+)
+def test_what_is_not_written_as_ours_proves_nothing(uris: tuple[str, ...]) -> None:
+    assert identity_of(peer(*uris)) is STRANGER
+    assert from_uris(uris, serial=1, begins=0.0, ends=1.0, authority=FINGERPRINT) is STRANGER
+
+
+@pytest.mark.parametrize(
+    "changed",
+    [
+        {"serialNumber": "x"},
+        {"notBefore": "Foo 23 20:00:00 2026 GMT"},
+        {"notAfter": "soon"},
+        {"issuer": ((("commonName", "somebody"),),)},
+        {"issuer": ()},
+    ],
+)
+def test_a_certificate_that_no_authority_of_ours_writes_proves_nothing(changed: dict[str, Any]) -> None:
+    assert identity_of(peer("lfield://host/alpha", **changed)) is STRANGER
+    assert identity_of({}) is STRANGER
+
+
+def test_a_right_of_a_newer_lfield_is_left_out() -> None:
+    found = identity_of(peer("lfield://person/anna?may=observe,teleport"))
+    assert found.may == {Right.OBSERVE}
+
+
+def test_rights_bring_others_along() -> None:
+    assert with_brought([Right.OPERATE]) == {Right.OPERATE, Right.STOP, Right.OBSERVE}
+    assert with_brought([Right.STOP]) == {Right.STOP, Right.OBSERVE}
+    assert with_brought([Right.COMMAND]) == {Right.COMMAND}
+    assert in_order(ALL) == "observe,stop,operate,command"
+
+
+def test_how_sentences_name_them() -> None:
+    assert str(Identity("host", "alpha", NONE)) == "host alpha"
+    assert str(Identity("person", "anna", NONE)) == "anna"
+    assert str(Identity("local", "root", ALL)) == "user root of this computer"
+    assert str(STRANGER) == "a stranger"
+    assert Identity("local", "root", ALL).ends == math.inf
+
+
+NAMES = st.text(min_size=1, max_size=30).filter(str.isprintable)
+
+
+@given(NAMES, st.frozensets(st.sampled_from(Right)))
+def test_any_name_and_rights_are_read_as_they_were_written(name: str, may: frozenset[Right]) -> None:
+    person = identity_of(peer(uri_of("person", name, may)))
+    assert (person.kind, person.name, person.may) == ("person", name, may)
+    host = identity_of(peer(uri_of("host", name)))
+    assert (host.kind, host.name, host.may) == ("host", name, NONE)
+
+
+@given(st.text() | st.integers() | st.none())
+def test_nothing_in_a_certificate_is_raised(text: Any) -> None:
+    identity_of(peer(text if isinstance(text, str) else "lfield://host/alpha", serialNumber=text))
+
+
+@pytest.mark.parametrize(
+    "text", ["Nov 23 20:00:00 2026 GMT", "Jan  1 00:00:00 1970 GMT", "Feb 29 23:59:59 2028 GMT"]
+)
+def test_times_are_those_of_ssl(text: str) -> None:
+    assert seconds_of(text) == ssl.cert_time_to_seconds(text)

@@ -1,0 +1,237 @@
+"""Certificates that end, begin or are revoked while hosts run: who loses a link, and who may finish."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from dataclasses import replace
+
+import pytest
+
+from lfield.authority.admission import Judged
+from lfield.authority.believed import BelievedTime
+from lfield.authority.identity import ALL, NONE, Identity
+from lfield.authority.judge import NOBODY
+from lfield.authority.reading import revoked_in
+from lfield.errors import GreetingError
+from lfield.operator.ask import STATUS, ask, emergency_stop
+from lfield.simulate import network
+from lfield.simulate.time import LoopClock
+from lfield.testing.keys import Keyring
+from lfield.wire.messages import Revocations
+
+#: A coordinator that ends when it is told nothing.
+PROGRAM = """
+resource Echo {
+    init(string[] arg) { }
+    portal say() { sleep(1.0); }
+}
+coordinator Caller {
+    init(string[] arg) { if (arg.length() > 1) while (true) findEcho("echo").say(); }
+}
+"""
+ENDLESS, DONE = (f"//Caller:tom@alpha{words}\n//Echo:echo@bravo\n" for words in ("?on", ""))
+DAY = 86400.0
+
+
+class Wall(LoopClock):
+    """Jumps as the loop does, from a day on that is ours."""
+
+    def __init__(self, begin: float) -> None:
+        self._begin = begin
+
+    def time(self) -> float:
+        return self._begin + self.monotonic()
+
+
+class Judges:
+    """Who is who on the network of a test, as certificates would say it. Seconds count from its beginning."""
+
+    def __init__(self, folder, monkeypatch) -> None:
+        self.ring = Keyring(folder)
+        self.keys = self.ring.made("host", "alpha")
+        self.now = time.time()
+        self.who: dict[str, Identity] = {}
+        self.kept: list[bytes] = []
+        for number, name in enumerate(("alpha", "bravo", "desk")):
+            kind, may = ("person", ALL) if name == "desk" else ("host", NONE)
+            at = self.now + 1000.0
+            self.who[name] = Identity(kind, name, may, f"a{number}", at - DAY, at + DAY, "ours")
+        monkeypatch.setattr(network, "resident", lambda address: self.who[address.partition(":")[0]])
+
+    def set(self, name: str, **fields) -> None:
+        self.who[name] = replace(self.who[name], **fields)
+
+    def ends(self, name: str, after: float) -> None:
+        self.set(name, ends=self.now + 1000.0 + after)
+
+    def list(self, number: int, *serials: str) -> bytes:
+        return self.ring.listed(number, *serials, at=self.now)
+
+    def admission(self, name: str, data: bytes = b"", begin: float | None = None) -> Judged:
+        revoked = revoked_in(data, self.keys.authority) if data else NOBODY
+        clock = Wall(self.now if begin is None else begin)
+        made = Judged(self.keys, self.who[name], BelievedTime(clock), revoked, data)
+        made.keep = self.kept.append
+        return made
+
+
+@pytest.fixture
+def judges(tmp_path, monkeypatch):
+    return Judges(tmp_path / "keys", monkeypatch)
+
+
+async def both_up(team, judges, deployment, alpha=b"", bravo=b""):
+    mission = team.mission(PROGRAM, deployment)
+    lists = {"alpha": alpha, "bravo": bravo}
+    options = {name: {"admission": judges.admission(name, data)} for name, data in lists.items()}
+    started = [team.make(mission, name, **more) for name, more in options.items()]
+    await asyncio.gather(*(running.host.start() for running in started))
+    return started
+
+
+def linked(running):
+    return bool(running.host.peers.incarnations)
+
+
+def test_in_flight_a_known_peer_whose_certificate_ends_may_finish(fleet, judges):
+    async def story(team):
+        judges.ends("bravo", 20.0)
+        alpha, bravo = await both_up(team, judges, ENDLESS)
+        await team.until(lambda: linked(alpha))
+        await asyncio.sleep(60.0)
+        assert linked(alpha)
+        assert alpha.log.count("the certificate of host bravo ended") == 1
+        team.network.cut("alpha", "bravo")
+        await team.until(lambda: not linked(alpha))
+        await team.until(lambda: linked(alpha))
+        await ask(team.network.transport("desk"), "alpha:8181", emergency_stop("enough"))
+        await team.until(lambda: not linked(alpha))
+        await team.until(lambda: "renew it with 'lfield keys renew host bravo'" in bravo.log)
+
+    fleet(story)
+
+
+def test_a_peer_that_nobody_has_heard_before_and_whose_certificate_has_ended_gets_no_link(fleet, judges):
+    async def story(team):
+        judges.ends("bravo", -1.0)
+        alpha, bravo = await both_up(team, judges, ENDLESS)
+        await team.until(lambda: "the certificate of host bravo ended" in alpha.log + bravo.log)
+        await asyncio.sleep(20.0)
+        assert not linked(alpha)
+
+    fleet(story)
+
+
+def test_when_the_mission_is_over_a_certificate_that_ended_is_no_link_any_more(fleet, judges):
+    async def story(team):
+        judges.ends("bravo", 20.0)
+        alpha, _ = await both_up(team, judges, DONE)
+        await team.until(lambda: linked(alpha))
+        await asyncio.sleep(15.0)
+        assert linked(alpha)
+        await asyncio.sleep(15.0)
+        assert not linked(alpha)
+
+    fleet(story)
+
+
+def test_a_revocation_list_travels_with_greetings_and_is_kept(fleet, judges):
+    async def story(team):
+        new = judges.list(4, "ff")
+        alpha, bravo = await both_up(team, judges, DONE, alpha=new, bravo=judges.list(3))
+        await team.until(lambda: "revocation list 4 has come" in bravo.log)
+        assert judges.kept == [new]
+        assert bravo.host.hello().revoked == 0, "what links say of it is theirs"
+        assert linked(alpha)
+        assert linked(bravo)
+        await asyncio.sleep(20.0)
+        assert "has come" not in alpha.log
+
+    fleet(story)
+
+
+def test_a_revoked_peer_loses_its_link_unless_something_flies(fleet, judges):
+    async def story(team):
+        for deployment, stays in ((DONE, False), (ENDLESS, True)):
+            alpha, bravo = await both_up(team, judges, deployment)
+            await team.until(lambda alpha=alpha: linked(alpha))
+            desk = await _says(team, judges.list(7, judges.who["bravo"].serial))
+            await asyncio.sleep(5.0)
+            assert linked(alpha) == stays
+            assert "the keys of host bravo are revoked (list 7)" in alpha.log
+            desk.close()
+            await bravo.host.stop()
+            await alpha.host.stop()
+
+    fleet(story)
+
+
+def test_a_revoked_host_is_not_linked_anew_even_in_flight(fleet, judges):
+    async def story(team):
+        alpha, _ = await both_up(team, judges, ENDLESS)
+        await team.until(lambda: linked(alpha))
+        await _says(team, judges.list(7, judges.who["bravo"].serial))
+        await team.until(lambda: "are revoked" in alpha.log)
+        team.network.cut("alpha", "bravo")
+        await asyncio.sleep(20.0)
+        assert not linked(alpha)
+
+    fleet(story)
+
+
+def test_a_list_that_the_authority_has_not_signed_closes_that_link_and_no_other(fleet, judges):
+    async def story(team):
+        alpha, _ = await both_up(team, judges, DONE)
+        await team.until(lambda: linked(alpha))
+        for data in (b"no list", Keyring(judges.ring.folder).listed(9, "a1", at=judges.now)):
+            await _says(team, data)
+            await team.until(lambda: "closed a link from desk: the revocation list" in alpha.log)
+        assert linked(alpha)
+        assert alpha.host.options.admission.number == 0
+
+    fleet(story)
+
+
+def test_a_revoked_person_may_nothing(fleet, judges):
+    async def story(team):
+        await both_up(team, judges, ENDLESS, alpha=judges.list(1, judges.who["desk"].serial))
+        with pytest.raises(GreetingError, match="the keys of desk are revoked"):
+            await ask(team.network.transport("desk"), "alpha:8181", STATUS)
+
+    fleet(story)
+
+
+def test_a_clock_that_stopped_years_ago_goes_by_what_the_authority_and_the_team_say(fleet, judges):
+    async def story(team):
+        mission = team.mission(PROGRAM, DONE)
+        old = judges.admission("alpha", begin=0.0)
+        (alpha,) = await team.up(mission, "alpha", admission=old)
+        assert "the clock of this computer says 1970-01-01" in alpha.log
+        assert "since the certificate of host alpha began then" in alpha.log
+        (bravo,) = await team.up(mission, "bravo", admission=judges.admission("bravo"))
+        await team.until(lambda: linked(alpha) and linked(bravo))
+        assert "since host bravo says so" in alpha.log
+        assert abs(old.time.now() - judges.now - LoopClock().monotonic()) < 5.0
+
+    fleet(story)
+
+
+class Idle:
+    """Keeps its link and hears nothing."""
+
+    def on_message(self, link, message):
+        link.greeted("host")
+
+    def on_closed(self, link, error):
+        pass
+
+
+async def _says(team, data):
+    """A person brings a revocation list."""
+    from lfield.wire.messages import Hello
+
+    link = await team.network.transport("desk").connect("alpha:8181", Idle())
+    link.send(Hello("observer", "observer", 0))
+    link.send(Revocations(data))
+    return link

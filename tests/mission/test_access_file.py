@@ -1,0 +1,209 @@
+"""Access files: what is read of them, and a caret under all that fits no program, team or registry."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from lfield.authority.identity import Right
+from lfield.cli.main import main
+from lfield.errors import ProgramError
+from lfield.mission import bundle
+from lfield.mission.access.rules import UNWRITTEN, Access, Caller, Line, Person
+from lfield.mission.load import load_mission, mission_problems
+from lfield.mission.mission import Mission
+
+PROGRAM = """
+resource Arm {
+    init(string[] arg) { }
+    portal home() { } portal grab(real width) { } portal grab() { } portal where() emit real { return 1.0; }
+}
+resource Winch {
+    init(string[] arg) { }
+    portal up(real height) emit real { return height; } portal down(real height) emit real { return height; }
+    portal stow() { }
+}
+coordinator Boss { init(string[] arg) { } }
+coordinator Relay { init(string[] arg) { } }
+"""
+DEPLOYMENT = """\
+//Arm:arm1@alpha
+//Arm:arm2@bravo
+//Winch:winch@bravo
+//Boss:boss@alpha
+//Relay:one@alpha
+//Relay:two@bravo
+"""
+CAPABILITIES = """
+registry: 1
+providers:
+  Winch: {serves: {Lift: {portals: {lift: up, lower: down}}}}
+"""
+PAGE = """\
+people:                            # less than their certificates say, never more
+  anna: [observe, stop, operate]
+  others: []
+coordinators:
+  boss:
+    Arm: [home, grab]
+    arm2: all
+    Lift: [lift]
+    others: []
+  Relay: {Lift: all}
+  others: all
+"""
+
+
+def deployed(folder: Path, text: str) -> Path:
+    for ending, content in (
+        (".L", PROGRAM),
+        (".dL", DEPLOYMENT),
+        (".capabilities.yaml", CAPABILITIES),
+        (".access.yaml", text),
+    ):
+        (folder / f"mission{ending}").write_text(content)
+    return folder / "mission.dL"
+
+
+def loaded(folder: Path, text: str) -> Mission:
+    return load_mission(deployed(folder, text))
+
+
+def test_a_page_is_read_with_the_places_of_its_lines(tmp_path: Path) -> None:
+    assert loaded(tmp_path, PAGE).access == Access(
+        "mission.access.yaml",
+        (
+            Person("anna", (Right.OBSERVE, Right.STOP, Right.OPERATE), 2),
+            Person("others", (), 3),
+        ),
+        (
+            Caller(
+                "agent",
+                "boss",
+                5,
+                (
+                    Line("type", "Arm", 6, ("home", "grab")),
+                    Line("agent", "arm2", 7),
+                    # As the winch calls what lifts.
+                    Line("capability", "Lift", 8, (), {"Winch": ("up",)}),
+                    Line("others", "others", 9, ()),
+                ),
+            ),
+            Caller("type", "Relay", 10, (Line("capability", "Lift", 10, (), {"Winch": ("up", "down")}),)),
+            Caller("others", "others", 11),
+        ),
+    )
+
+
+def test_without_a_file_and_with_an_empty_one_nothing_is_ruled(tmp_path: Path) -> None:
+    empty = loaded(tmp_path, "# nothing yet\n")
+    assert (empty.access, empty.calls) == (Access("mission.access.yaml"), None)
+    (tmp_path / "mission.access.yaml").unlink()
+    without = load_mission(tmp_path / "mission.dL")
+    assert (without.access, without.calls) == (UNWRITTEN, None)
+
+
+def test_a_registry_is_read_for_names_of_capabilities_alone(tmp_path: Path) -> None:
+    """Ours takes a while, and a mission that names no capability does without."""
+    deploy = deployed(tmp_path, "coordinators: {boss: {Arm: all, winch: [stow], others: [where]}}\n")
+    (tmp_path / "mission.capabilities.yaml").unlink()
+    assert load_mission(deploy).registry is None
+
+
+@pytest.mark.parametrize(
+    ("text", "drawn", "said", "hint"),
+    [
+        ("people: {anna: [operat]}", "operat", "there is no right 'operat'", "did you mean 'operate'?"),
+        ("people: {anna: [fly]}", "fly", "there is no right 'fly'", "rights here: observe, stop and operate"),
+        ("people: {anna: [command]}", "command", "a mission cannot say who may sign it", "rights here"),
+        ("people: {anna: [3]}", "3", "a right is a word, not the number 3", "rights here"),
+        ("people: {anna: stop}", "stop", "'anna' has all or a list of rights", "write [stop]"),
+        ("people: {anna: }", "", "'anna' has all or a list of rights, not nothing", "[] is none of them"),
+        ('people: {"*": all}', '"*"', "'*' is nobody's name", "write others"),
+        ('people: {"": all}', '""', "a name has 1 to 128 characters", ""),
+        ("people: [anna]", "[anna]", "'people' must be a mapping, not a list", ""),
+        ("peple: {}", "peple", "an access file takes no 'peple'", "did you mean 'people'?"),
+        ("coordinators: {bos: all}", "bos", "no coordinator 'bos'", "did you mean 'boss'?"),
+        ("coordinators: {xyz: all}", "xyz", "no coordinator 'xyz'", "its coordinators: boss, one and two"),
+        ("coordinators: {Arm: all}", "Arm", "no coordinator 'Arm', and none of such a type", ""),
+        ('coordinators: {"*": all}', '"*"', "'*' is nobody's name", "write others"),
+        ("coordinators: {boss: some}", "some", "'boss' has all, or resources", "{Arm: [home]}"),
+        ("coordinators: {boss: [home]}", "[home]", "with their portals, not a list", "{Arm: [home]}"),
+        ("coordinators: {boss: {arm3: all}}", "arm3", "no resource 'arm3'", "did you mean 'Arm'?"),
+        ("coordinators: {boss: {Lft: all}}", "Lft", "such type or capability", "did you mean 'Lift'?"),
+        ("coordinators: {boss: {boss: all}}", "boss", "no resource 'boss'", ""),
+        ('coordinators: {boss: {"*": all}}', '"*"', "'*' is nobody's name", "write others"),
+        (
+            "coordinators: {boss: {Grip: all}}",
+            "Grip",
+            "no resource of the deployment serves Grip",
+            "own name",
+        ),
+        ("coordinators: {boss: {Arm: [hom]}}", "hom", "Arm has no portal 'hom'", "did you mean 'home'?"),
+        ("coordinators: {boss: {arm1: [up]}}", "up", "arm1 has no portal 'up'", "grab, home and where"),
+        (
+            "coordinators: {boss: {Lift: [up]}}",
+            "up",
+            "Lift has no portal 'up'",
+            "its portals: lift and lower",
+        ),
+        ("coordinators: {boss: {others: [fly]}}", "fly", "no resource of the deployment has a portal", ""),
+        ("coordinators: {boss: {Arm: home}}", "home", "'Arm' has all or a list of portals", "write [home]"),
+        ("coordinators: {boss: {Arm: [[]]}}", "[]", "a portal is a name, not a list", ""),
+        ("coordinators: {boss: {Arm: [], Arm: []}}", "Arm", "'Arm' is here twice", ""),
+        ("coordinators: {boss: &a {}}", "&a", "anchors and aliases are not allowed", ""),
+    ],
+)
+def test_what_fits_nothing_is_drawn_at_its_place(
+    tmp_path: Path, text: str, drawn: str, said: str, hint: str
+) -> None:
+    deploy = deployed(tmp_path, f"# first line\n{text}\n")
+    with pytest.raises(ProgramError) as error:
+        load_mission(deploy)
+    (finding,) = error.value.diagnostics
+    shown = finding.render().splitlines()
+    column = text.rindex(drawn) + 1 if drawn else text.index(": }") + 3
+    assert shown[0].startswith(f"{tmp_path}/mission.access.yaml:2:{column}: error[Y1")
+    assert said in shown[0]
+    assert shown[2].index("^") == 4 + column - 1
+    assert hint in shown[-1]
+    # `lfield check` finds the same.
+    assert [found.render() for found in mission_problems(deploy)] == [finding.render()]
+
+
+def test_all_mistakes_are_told_at_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    text = "people: {a: [b, c]}\ncoordinators:\n  x: {}\n  boss: {Arm: [no, home, nor], y: all}\n"
+    assert main(["check", str(deployed(tmp_path, text))]) == 65
+    told = capsys.readouterr().err
+    assert told.count("error[Y113]") == 6
+    assert "6 error(s)" in told
+    assert main(["build", str(tmp_path / "mission.dL")]) == 65
+    assert capsys.readouterr().err.count("error[Y113]") == 6
+
+
+def test_a_file_that_cannot_be_read_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    deploy = deployed(tmp_path, "")
+    (tmp_path / "mission.access.yaml").unlink()
+    (tmp_path / "mission.access.yaml").mkdir()
+    assert main(["check", str(deploy)]) == 66
+    assert "mission.access.yaml" in capsys.readouterr().err
+
+
+def test_rules_travel_in_the_bundle_and_count_as_the_mission(tmp_path: Path) -> None:
+    mission = loaded(tmp_path, PAGE)
+    data = bundle.encode(mission)
+    assert bundle.decode(data).access == mission.access
+    assert bundle.decode(data).access.digest == mission.access.digest != b""
+    other = bundle.encode(loaded(tmp_path, PAGE.replace("[lift]", "[lower]")))
+    tables = zip(bundle.contents(data).table, bundle.contents(other).table, strict=True)
+    assert [a.name for a, b in tables if a.digest != b.digest] == ["access"]
+    assert bundle.decode(other).access.digest != mission.access.digest
+
+
+def test_another_devices_file_takes_no_rule_away(tmp_path: Path) -> None:
+    path = tmp_path / "mission.lfm"
+    path.write_bytes(bundle.encode(loaded(tmp_path, PAGE)))
+    (tmp_path / "field.yaml").write_text("agents: {}\n")
+    assert main(["build", str(path), "--devices", str(tmp_path / "field.yaml"), "-o", str(path)]) == 0
+    assert bundle.read(path).access.callers

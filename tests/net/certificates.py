@@ -1,0 +1,91 @@
+"""Certificates for tests of links, good ones and others."""
+
+from __future__ import annotations
+
+import datetime
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+from cryptography import x509
+from cryptography.hazmat.primitives import serialization
+from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
+from cryptography.x509.oid import NameOID
+
+from lfield.authority.identity import Right
+from lfield.authority.judge import Revoked
+from lfield.authority.keys import Keys
+from lfield.authority.making import certificate_in, new_authority, private_in
+
+BEGIN, END = (datetime.datetime(year, 1, 1, tzinfo=datetime.UTC) for year in (2026, 2099))
+
+
+@dataclass(frozen=True)
+class Shown:
+    """A certificate and its key."""
+
+    certificate: x509.Certificate
+    key: Ed25519PrivateKey
+
+    @property
+    def pem(self) -> bytes:
+        return self.certificate.public_bytes(serialization.Encoding.PEM)
+
+    @property
+    def key_pem(self) -> bytes:
+        return self.key.private_bytes(
+            serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, serialization.NoEncryption()
+        )
+
+
+def made(
+    name: str,
+    uris: Iterable[str] = (),
+    *,
+    signer: Shown | None = None,
+) -> Shown:
+    """A certificate, signed by itself where nobody else signs it."""
+    key = Ed25519PrivateKey.generate()
+    subject = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, name)])
+    builder = (
+        x509.CertificateBuilder()
+        .subject_name(subject)
+        .issuer_name(signer.certificate.subject if signer else subject)
+        .public_key(key.public_key())
+        .serial_number(x509.random_serial_number())
+        .not_valid_before(BEGIN)
+        .not_valid_after(END)
+        .add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
+    )
+    alternatives = [x509.UniformResourceIdentifier(uri) for uri in uris]
+    if alternatives:
+        builder = builder.add_extension(x509.SubjectAlternativeName(alternatives), critical=False)
+    return Shown(builder.sign(signer.key if signer else key, None), key)
+
+
+class Team:
+    """An authority and what it signs."""
+
+    def __init__(self) -> None:
+        self.authority = new_authority(BEGIN.timestamp(), END.timestamp())
+
+    def host(self, name: str, *, begin: float = BEGIN.timestamp(), end: float = END.timestamp()) -> Keys:
+        issued = self.authority.issue("host", name, at=begin, ends=end)
+        return Keys("host", self.authority.certificate, issued.certificate, issued.key)
+
+    def person(self, name: str, *may: Right, end: float = END.timestamp()) -> Keys:
+        issued = self.authority.issue("person", name, may=may, at=BEGIN.timestamp(), ends=end)
+        return Keys("person", self.authority.certificate, issued.certificate, issued.key)
+
+    def odd(self, *uris: str) -> Keys:
+        """Keys that the authority would not make, with these names."""
+        signer = Shown(certificate_in(self.authority.certificate), private_in(self.authority.key))
+        return self.with_(made("odd", uris, signer=signer))
+
+    def with_(self, shown: Shown) -> Keys:
+        """Any keys, of whoever believes this authority."""
+        return Keys("host", self.authority.certificate, shown.pem, shown.key_pem)
+
+    def revoked(self, number: int, *keys: Keys) -> bytes:
+        """The list of those keys."""
+        serials = frozenset(f"{certificate_in(one.certificate).serial_number:x}" for one in keys)
+        return self.authority.revocation_list(Revoked(number, serials, BEGIN.timestamp()))
