@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 from msgspec import msgpack
@@ -20,3 +21,11 @@ def keep(name: str, inputs: list[bytes]) -> None:
     CORPUS.mkdir(exist_ok=True)
     ordered = sorted(set(inputs), key=lambda data: (len(data), data))
     (CORPUS / f"{name}.msgpack").write_bytes(msgpack.encode(ordered))
+
+
+def fixed(name: str, make: Callable[[], list[bytes]]) -> list[bytes]:
+    """Good inputs that are never made alike, as keys and databases: made once, and kept."""
+    path = CORPUS / f"{name}.seeds.msgpack"
+    if not path.is_file():
+        path.write_bytes(msgpack.encode(make()))
+    return list(msgpack.decode(path.read_bytes(), type=list[bytes]))

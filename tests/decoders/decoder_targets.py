@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import targets_of_authority
 import targets_of_drivers
 import targets_of_files
 import targets_of_guards
 import targets_of_links
 
-ROOMS = (targets_of_links, targets_of_files, targets_of_guards, targets_of_drivers)
+ROOMS = (targets_of_links, targets_of_files, targets_of_guards, targets_of_drivers, targets_of_authority)
 TARGETS = {target.name: target for room in ROOMS for target in room.TARGETS}

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import msgspec
+from decoder_corpus import fixed
 from decoder_missions import DEPLOYMENT, DEVICES, PROGRAM, mission
 from decoder_target import Target
 from targets_of_links import Nothing, no_bug_of_ours, pack, transfers, unpack
@@ -314,7 +315,7 @@ TARGETS = (
     Target("program", lambda: [pack(_program_parts())], take_program, True, (*range(60), "Bell", "ring")),
     Target("dump", lambda: [_a_dump()[12:]], take_dump, True),
     Target("page", lambda: list(map(pack, _entries())), take_page, True, ("tom", "copy", "begun", "RUN")),
-    Target("journal", _journals, take_journal),
+    Target("journal", lambda: fixed("journal", _journals), take_journal),
     Target("question", lambda: _QUESTIONS, take_question, words=_OF_QUESTIONS),
     Target("deployment", lambda: [DEPLOYMENT.encode()], take_deployment, words=_OF_TEAMS),
     Target("program-text", lambda: [PROGRAM.encode()], take_program_text, words=_OF_PROGRAMS),

@@ -13,6 +13,7 @@ import msgspec
 from decoder_missions import HOSTS, mission
 from decoder_target import Target
 
+from lfield.authority.identity import NONE, Identity
 from lfield.clock import ManualClock
 from lfield.errors import GreetingError, LfieldError, WireError
 from lfield.host.core import HostCore
@@ -33,6 +34,10 @@ WORDS = (
     *("RUN", "EXITED", "MOVED", "FROZEN", "PREPARED", "IN DOUBT", "PARKED"),
     *("done", "died", "lost", "superseded", "measured", *range(40)),
 )
+
+
+#: Who has proven to be at the other end.
+BRAVO = Identity("host", "bravo", NONE)
 
 
 class Nothing:
@@ -83,9 +88,8 @@ def take_greeting(data: bytes) -> None:
     for role in ("host", "observer"):
         try:
             hello = codec.decode(codec.HELLO, sealed(data, b"lfld\0" + bytes([codec.PROTOCOL])))
-            Greeting(msgspec.structs.replace(own, role=role), hosts=HOSTS, linked={"charlie": 5}).receive(
-                hello
-            )
+            here = msgspec.structs.replace(own, role=role)
+            Greeting(here, BRAVO, hosts=HOSTS, linked={"charlie": 5}).receive(hello)
         except (WireError, GreetingError) as error:
             str(error)
 
@@ -190,7 +194,7 @@ def happen(core: HostCore, clock: ManualClock, event: Any) -> None:
     try:
         if what == 0:
             hello = msgspec.convert(value, Hello)
-            Greeting(core.hello(), hosts=HOSTS).receive(hello)
+            Greeting(core.hello(), BRAVO, hosts=HOSTS).receive(hello)
             if hello.role == "host":
                 core.linked(hello)
         elif what == 1:
