@@ -19,7 +19,7 @@ UNSAFE = 3
 UNHEARD = 4
 #: The command line makes no sense.
 USAGE = 64
-#: What a file says is wrong: a program, deployment, bundle, devices file, registry, dump or journal.
+#: What a file says is wrong: a program, deployment, bundle, devices file, registry, dump, journal or key.
 DATA = 65
 #: A file cannot be read.
 NO_INPUT = 66
@@ -44,7 +44,7 @@ MEANINGS: Mapping[int, str] = {
     UNSAFE: "a device was not seen in its safe state and at rest: look at it",
     UNHEARD: "a host was not heard of for too long: what became of the mission there is not known",
     USAGE: "the command line makes no sense",
-    DATA: "a program, deployment, bundle, devices file, registry, dump or journal is wrong",
+    DATA: "a program, deployment, bundle, devices file, registry, dump, journal or key is wrong",
     NO_INPUT: "a file cannot be read",
     UNAVAILABLE: "unavailable: a port, address, driver, device, host, mission or journal",
     SOFTWARE: "a bug in lfield (`LFIELD_TRACEBACK=1` shows it)",

@@ -69,7 +69,10 @@ class Team:
         self._mission = mission
         self._maps = [f"--map={host}=127.0.0.1:{free_port()}" for host in (*HOSTS, CART)]
         # As on several computers, each host proves who it is: `lfield keys` makes these in the field.
-        self._keys = "--keys", str(Keyring(mission.parent / "keys").give(*HOSTS, CART))
+        keyring = Keyring(mission.parent / "keys")
+        self._keys = "--keys", str(keyring.give(*HOSTS, CART))
+        # They take no other bundle: `lfield sign` does this.
+        keyring.sign(mission)
         self._hosts: dict[str, Host] = {}
         self._said, self._shown = threading.Condition(), sys.stdout
         #: What the foreman has said.

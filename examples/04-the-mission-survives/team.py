@@ -43,7 +43,8 @@ class Team:
         self._fakes: list[subprocess.Popen[str]] = []
         self._hosts: dict[str, subprocess.Popen[str]] = {}
         # As on several computers, each host proves who it is: `lfield keys` makes these in the field.
-        self._keys = "--keys", str(Keyring(folder / "keys" / policy).give(*hosts))
+        self._keyring = Keyring(folder / "keys" / policy)
+        self._keys = "--keys", str(self._keyring.give(*hosts))
         self.lines: list[Line] = []
         self._said = threading.Condition()
 
@@ -60,6 +61,8 @@ class Team:
         built = subprocess.run([sys.executable, "-m", "lfield", *words], capture_output=True, text=True)
         if built.returncode:
             raise Failed(built.stderr)
+        # Hosts with keys take no other: `lfield sign` does this in the field.
+        self._keyring.sign(self._bundle)
         for host in self._ports:
             self.start(host)
 

@@ -7,17 +7,17 @@ command of this computer, whom the kernel knows.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING
 
 from msgspec.structs import replace
 
-from lfield.authority.judge import ALL_IS_WELL, NOBODY, judged
+from lfield.authority.judge import ALL_IS_WELL, NOBODY, Verdict, judged
 
 if TYPE_CHECKING:
     from lfield.authority.believed import BelievedTime
-    from lfield.authority.identity import Identity
-    from lfield.authority.judge import Known, Revoked, Verdict
+    from lfield.authority.identity import Identity, Right
+    from lfield.authority.judge import Known, Revoked
     from lfield.authority.keys import Keys
     from lfield.wire.messages import Hello
 
@@ -32,6 +32,8 @@ class Admission:
         #: Whether the mission of this host goes on; and what keeps a new list for its next life.
         self.flies: Callable[[], bool] = lambda: False
         self.keep: Callable[[bytes], None] = lambda data: None
+        #: What the mission takes of somebody's rights, and by which rule, in a sentence.
+        self.barred: Callable[[Identity], Mapping[Right, str]] = lambda who: {}
 
     def verdict(self, who: Identity, *, linked: bool = False, expected: str = "") -> Verdict:
         """What somebody is good for now; `linked`: by a link that stands. `expected` is who was called."""
@@ -80,7 +82,7 @@ class Judged(Admission):
         if who.authority == self.own.authority:
             # The authority writes no time that is yet to come.
             self.time.proven(who.begins, f"the certificate of {who}")
-        return judged(
+        found = judged(
             who,
             at=self.time.now(),
             authority=self.own.authority,
@@ -89,6 +91,8 @@ class Judged(Admission):
             flies=self.flies(),
             expected=expected,
         )
+        barred = self.barred(who)
+        return Verdict(found.extent, found.why, barred) if barred else found
 
     def signed(self, hello: Hello) -> Hello:
         return replace(hello, time=self.time.now(), revoked=self.number)

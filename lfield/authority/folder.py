@@ -17,6 +17,7 @@ from __future__ import annotations
 import errno
 import os
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 
 from lfield.authority.keys import (
@@ -73,6 +74,16 @@ def find(
             f"what 'lfield keys {holder}' has made"
         )
     return None
+
+
+def folders_here(environment: Mapping[str, str], system: Path = SYSTEM) -> list[Path]:
+    """Every key folder of this computer that this user may see, those of the system first."""
+    found = []
+    for base in (system, own_keys(environment)):
+        with suppress(OSError):
+            found += sorted(path for path in base.iterdir() if path.is_dir())
+    said = environment.get(VARIABLE, "")
+    return [*([Path(said)] if said else []), *found]
 
 
 def read(folder: Path, holder: Holder) -> Keys:

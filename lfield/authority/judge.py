@@ -18,7 +18,8 @@ that is cut off cannot know of a revocation.
 from __future__ import annotations
 
 import datetime
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import Literal
 
 from lfield.authority.identity import NONE, Identity, Right
@@ -41,6 +42,10 @@ class Revoked:
     serials: frozenset[str] = frozenset()
     at: float = 0.0
 
+    def __str__(self) -> str:
+        count = len(self.serials)
+        return f"list {self.number} of {when(self.at)}, with {count} certificate{'s' * (count != 1)}"
+
 
 #: Where there is no list.
 NOBODY = Revoked()
@@ -51,14 +56,17 @@ class Verdict:
     """What somebody may who has proven who they are; `why` is the sentence unless all is well.
 
     `finish`: a host may stop and be stopped, and what is under way ends, hops included; nothing begins.
+    `barred` are rights that the mission takes from somebody, each with a sentence that says by which rule.
     """
 
     extent: Literal["all", "finish", "nothing"]
     why: str = ""
+    barred: Mapping[Right, str] = field(default_factory=dict)
 
     def left(self, may: frozenset[Right]) -> frozenset[Right]:
         """What is left of somebody's rights."""
-        return may if self.extent == "all" else may & _TO_FINISH if self.extent == "finish" else NONE
+        left = may if self.extent == "all" else may & _TO_FINISH if self.extent == "finish" else NONE
+        return left - self.barred.keys()
 
 
 ALL_IS_WELL = Verdict("all")

@@ -10,7 +10,7 @@ Certificates and keys are PEM, which OpenSSL reads; the list is DER, as it trave
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 #: Who has keys.
@@ -42,9 +42,6 @@ class Keys:
     holder: Holder
     authority: bytes
     certificate: bytes
-    key: bytes
+    #: What is printed is kept, so this is not.
+    key: bytes = field(repr=False)
     revoked: bytes = b""
-
-    def __repr__(self) -> str:
-        """Without the private key: what is printed is kept."""
-        return f"Keys({self.holder!r})"

@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Literal, NamedTuple
 
 from lfield.authority import folder as folders
+from lfield.authority.believed import NOTABLE
 from lfield.authority.identity import Identity, Right, with_brought
 from lfield.authority.judge import Revoked, when
 from lfield.authority.keys import AUTHORITY, MAX_PEM, Holder, Keys
@@ -25,11 +26,12 @@ from lfield.authority.making import Authority, new_authority, read_authority
 from lfield.authority.reading import identity_in, revoked_in
 from lfield.errors import InputFileError, KeysError
 from lfield.text.files import read_bytes
-from lfield.text.private import private_folder, private_locked, write_private
+from lfield.text.private import private_locked, write_private
 
 KEY, ISSUED = "authority.key", "issued"
 _FOLDERS: dict[Holder, str] = {"host": "hosts", "person": "people"}
-_NAME = re.compile(r"[A-Za-z0-9_\[][A-Za-z0-9._:\]-]*", re.ASCII)
+_NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9._-]*|\[[0-9A-Fa-f:.]+\]", re.ASCII)
+_SERIAL = re.compile(r"[1-9a-f][0-9a-f]{3,}", re.ASCII)
 
 
 class Row(NamedTuple):
@@ -63,12 +65,13 @@ class Ledger:
         """Keys for a host or person who has none that are good. Raises KeysError."""
         if _NAME.fullmatch(name) is None:
             raise KeysError(
-                f"{name!r} is no name for keys: write it as the deployment does, in letters, digits, . _ and -"
+                f"{name!r} is no name for keys: it begins with a letter or digit, and has letters, digits, "
+                "'.', '_' and '-'"
             )
         if good := [row.who for row in self._of(holder, name, at) if row.state == "good"]:
             raise KeysError(
-                f"{good[-1]} has keys until {when(good[-1].ends)}: 'lfield keys renew {holder} {name}' makes them "
-                f"last longer, 'lfield keys revoke {holder} {name}' ends them"
+                f"{good[-1]} has keys until {when(good[-1].ends)}: 'lfield keys renew {holder} {name}' "
+                f"makes them last longer, 'lfield keys revoke {holder} {name}' ends them"
             )
         return self._issue(holder, name, with_brought(may), at, ends)
 
@@ -77,16 +80,14 @@ class Ledger:
 
         Raises KeysError.
         """
-        rows = self._of(holder, name, at)
-        if not rows:
-            raise KeysError(f"{holder} {name} has no keys of this authority: 'lfield keys {holder} {name}'")
-        newest = max((row for row in rows), key=lambda row: (row.who.begins, row.who.ends))
-        if newest.state == "revoked":
+        found = [row.who for row in self._of(holder, name, at) if row.state != "revoked"]
+        if not found:
             raise KeysError(
-                f"the keys of {newest.who} are revoked: make new ones with 'lfield keys {holder} {name}'"
+                f"{holder} {name} has no keys that are not revoked: 'lfield keys {holder} {name}' makes some"
             )
-        old = b"" if new_key else self._certificate(newest.who.serial)
-        return self._issue(holder, name, newest.who.may, at, ends, old)
+        newest = max(found, key=lambda who: (who.begins, who.ends))
+        old = b"" if new_key else self._certificate(newest.serial)
+        return self._issue(holder, name, newest.may, at, ends, old)
 
     def renew_authority(self, at: float, ends: float) -> None:
         """A certificate of the authority until later, for the same key; all that it has made stays good."""
@@ -104,12 +105,12 @@ class Ledger:
         return self._revoke(found, at)
 
     def revoke_serial(self, serial: str, at: float) -> list[Identity]:
-        """Put one certificate on the list, by its number in hex or the beginning of that. Raises KeysError."""
-        found = [who for who in self._issued() if who.serial.startswith(serial.lower().lstrip("0"))]
+        """Put one certificate on the list, by the first digits of its number. Raises KeysError."""
+        if _SERIAL.fullmatch(serial) is None:
+            raise KeysError(f"{serial!r} is no number of a certificate: see 'lfield keys list'")
+        found = [who for who in self._issued() if who.serial.startswith(serial)]
         if len(found) != 1:
-            raise KeysError(
-                f"{len(found) or 'no'} certificates have a number that begins with {serial}: see 'lfield keys list'"
-            )
+            raise KeysError(f"{len(found) or 'no'} certificates have a number that begins with {serial}")
         if found[0].serial in self.revoked.serials:
             raise KeysError(f"certificate {serial} of {found[0]} is revoked already")
         return self._revoke(found, at)
@@ -145,7 +146,7 @@ class Ledger:
     def _see_time(self, at: float) -> None:
         """What is made later must not begin earlier: a begin is our word that it was so late already."""
         last = max((who.begins for who in self._issued()), default=0.0)
-        if at < max(last, self.revoked.at) - 1.0:
+        if at < max(last, self.revoked.at) - NOTABLE:
             raise KeysError(
                 f"the clock of this computer says {when(at)}, and this authority has made something "
                 f"{when(max(last, self.revoked.at))}: set the clock"
@@ -177,13 +178,10 @@ class Ledger:
 
 def begin(folder: Path, at: float, ends: float) -> Ledger:
     """A new authority in a folder that has none, from now (`at`) until `ends`. Raises KeysError."""
-    if (folder / KEY).exists() or (folder / AUTHORITY).exists():
-        raise KeysError(
-            f"{folder} has an authority already: name another folder, or remove that one yourself"
-        )
     made = new_authority(at, ends)
-    private_folder(folder)
     with private_locked(folder):
+        if (folder / KEY).exists() or (folder / AUTHORITY).exists():
+            raise KeysError(f"{folder} has an authority already: name another folder")
         write_private(folder / KEY, made.key, 0o600, durable=True)
         write_private(folder / AUTHORITY, made.certificate, 0o644, durable=True)
     return Ledger(folder, made)

@@ -145,7 +145,7 @@ def certificate_in(pem: bytes) -> x509.Certificate:
     """The first certificate in a PEM text. Raises KeysError."""
     try:
         return x509.load_pem_x509_certificate(pem)
-    except ValueError:
+    except (ValueError, x509.InvalidVersion):
         raise KeysError("it is no certificate (PEM); copy it again from the authority's folder") from None
 
 

@@ -42,6 +42,8 @@ def lacks(who: Identity, verdict: Verdict, message: Message) -> str:
     may = verdict.left(who.may | OF_HOSTS if who.kind == "host" else who.may)
     if needed is None or needed in may:
         return ""
+    if needed in verdict.barred:
+        return verdict.barred[needed]
     if verdict.extent != "all" and needed in who.may:
         return f"{verdict.why}; until then {who} may only look and stop"
     has = in_order(may).replace(",", " and ") or "do nothing"

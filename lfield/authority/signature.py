@@ -3,16 +3,13 @@
 It is msgpack: the signer's certificate, the time, and an Ed25519 signature of
 
     "lfield bundle\\0"  32 bytes digest of the bundle  u64 seconds since 1970 UTC, little-endian
-    32 bytes SHA-256 of the certificate
 
-so that no other signature that the same key ever makes can be taken for it. The certificate is in it because
-DER has bits that may be one or zero, and of a bundle none may be changed. The digest covers every part of a
+so that no other signature that the same key ever makes can be taken for it. The digest covers every part of a
 bundle. The time is the signer's own word: `judge.judged_signer` says what it is worth.
 """
 
 from __future__ import annotations
 
-import hashlib
 import struct
 from typing import Annotated, NamedTuple
 
@@ -56,9 +53,8 @@ def sign(digest: bytes, keys: Keys, at: float) -> bytes:
     if not who.begins <= at < who.ends:
         raise KeysError(f"the certificate of {who} is not valid now: set the clock, or renew it")
     second = int(at)
-    certificate = der_of(keys.certificate)
-    signature = private_in(keys.key).sign(_text(digest, second, certificate))
-    return _encoder.encode(_Seal(certificate, second, signature))
+    signature = private_in(keys.key).sign(_text(digest, second))
+    return _encoder.encode(_Seal(der_of(keys.certificate), second, signature))
 
 
 def signed(digest: bytes, signature: bytes, authority: bytes) -> Signed:
@@ -72,8 +68,7 @@ def signed(digest: bytes, signature: bytes, authority: bytes) -> Signed:
     try:
         seal = _decoder.decode(signature)
         who = identity_in_der(seal.certificate, authority)
-        text = _text(digest, seal.at, seal.certificate)
-        sound = is_signed_by(certificate_in_der(seal.certificate), seal.signature, text)
+        sound = is_signed_by(certificate_in_der(seal.certificate), seal.signature, _text(digest, seal.at))
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError):
         raise SignatureError("its signature cannot be read: sign it again with 'lfield sign'") from None
     except KeysError as error:
@@ -83,5 +78,5 @@ def signed(digest: bytes, signature: bytes, authority: bytes) -> Signed:
     return Signed(who, float(seal.at))
 
 
-def _text(digest: bytes, at: int, certificate: bytes) -> bytes:
-    return _PURPOSE + digest + struct.pack("<Q", at) + hashlib.sha256(certificate).digest()
+def _text(digest: bytes, at: int) -> bytes:
+    return _PURPOSE + digest + struct.pack("<Q", at)

@@ -23,6 +23,8 @@ if TYPE_CHECKING:
 COMMANDS = {
     "check": "find the errors of a program or deployment",
     "build": "make one file of a mission, for its robots, or of a program",
+    "keys": "make the keys of a team, renew, revoke and list them",
+    "sign": "say by a signature that a bundle may fly",
     "disasm": "list a program file",
     "test": "run the tests of missions on virtual time, and draw the tracks",
     "up": "run the hosts of a deployment",
@@ -42,7 +44,7 @@ COMMANDS = {
     "sim": "run a stand-alone fake of a device, or make one go wrong",
 }
 _ROOMS = {
-    "desk": ("check", "build", "disasm", "test", "inspect", "capabilities"),
+    "desk": ("check", "build", "disasm", "test", "inspect", "capabilities", "keys", "sign"),
     "run": ("up",),
     "team": ("ps", "query", "estop", "pause", "resume", "forget", "recover"),
     "robot": ("doctor", "driver", "setup", "kit", "sim"),

@@ -140,7 +140,7 @@ class Host:
         # Of a host that has no memory left; until then it is address space only.
         self._reserve = mmap(-1, RESERVE)
         self._entered = self._stopped = False
-        options.admission.flies = self.flies
+        options.admission.flies, options.admission.barred = self.flies, mission.access.barred
 
     @property
     def machine(self) -> Machine:

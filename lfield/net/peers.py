@@ -223,11 +223,9 @@ class Peers:
                 session.begin(link)
             await session.over.wait()
             return session.reason
-        except AddressError as error:
-            return str(error)
-        except (GreetingError, WireError) as error:
-            # Somebody was there, which is news.
-            session.connected = True
+        except (AddressError, GreetingError, WireError) as error:
+            # Who does not prove who it is was there, which is news.
+            session.connected |= not isinstance(error, AddressError)
             return str(error)
         finally:
             self._dialling.pop(name, None)

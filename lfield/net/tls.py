@@ -58,7 +58,7 @@ class Tls:
         try:
             for context in (self._calling, self._called):
                 _prepare(context, keys)
-        except (ssl.SSLError, UnicodeDecodeError):
+        except (OSError, UnicodeDecodeError):
             raise KeysError(
                 "the keys are damaged, or do not belong together: copy them again from where 'lfield keys' "
                 "has put them"
@@ -156,8 +156,8 @@ def _prepare(context: ssl.SSLContext, keys: Keys) -> None:
     context.verify_mode = ssl.CERT_REQUIRED
     context.verify_flags |= ssl.VerifyFlags(NO_CHECK_TIME)
     context.load_verify_locations(cadata=keys.authority.decode("ascii"))
-    with _as_file(keys.certificate + b"\n" + keys.key) as path:
-        context.load_cert_chain(path, password=_no_password)
+    with _as_file(keys.certificate) as certificate, _as_file(keys.key) as key:
+        context.load_cert_chain(certificate, key, password=_no_password)
 
 
 def _no_password() -> bytes:
@@ -167,14 +167,23 @@ def _no_password() -> bytes:
 
 @contextmanager
 def _as_file(data: bytes) -> Iterator[str]:
-    """A path for whoever reads files alone; what is there is in memory and on no disk."""
-    descriptor = os.memfd_create("keys", os.MFD_CLOEXEC)
+    """A path for whoever reads files alone, once; what is there is on no disk, and needs none."""
+    reading = piped(data)
     try:
-        with open(descriptor, "wb", closefd=False) as file:
-            file.write(data)
-        yield f"/proc/self/fd/{descriptor}"
+        yield f"/proc/self/fd/{reading}"
     finally:
-        os.close(descriptor)
+        os.close(reading)
+
+
+def piped(data: bytes) -> int:
+    """A descriptor from which these bytes can be read, and then no more; so many must fit into a pipe."""
+    reading, writing = os.pipe()
+    try:
+        os.set_blocking(writing, False)
+        os.write(writing, data)
+    finally:
+        os.close(writing)
+    return reading
 
 
 def _told(error: ssl.SSLError) -> LfieldError:

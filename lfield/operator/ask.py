@@ -8,7 +8,7 @@ import sys
 from collections.abc import Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Generic, TypeVar
+from typing import TYPE_CHECKING, Generic, NamedTuple, TypeVar
 
 from lfield.authority import folder
 from lfield.errors import AddressError, GreetingError, KeysError, LfieldError, NobodyListens, WireError
@@ -19,7 +19,7 @@ from lfield.net.transport import Link, Transport
 from lfield.operator.addressed import Party, Place
 from lfield.wire.coordinators import Transfer
 from lfield.wire.fields import clip
-from lfield.wire.messages import Hello, Message, Refuse
+from lfield.wire.messages import Hello, Message, Refuse, Revocations
 from lfield.wire.observing import (
     EmergencyStop,
     EmergencyStopped,
@@ -33,7 +33,7 @@ from lfield.wire.observing import (
 )
 
 if TYPE_CHECKING:
-    from lfield.net.tls import Tls
+    from lfield.authority.keys import Keys
 
 T = TypeVar("T", bound=Status | EmergencyStopped | Forgotten | Recovered)
 K = TypeVar("K", bound=Hashable)
@@ -52,6 +52,13 @@ class Request(Generic[T]):
     message: StatusRequest | EmergencyStop | Forget | Pause | Recover
     answer: type[T]
     bound: float
+
+
+class Brought(NamedTuple):
+    """A revocation list, and its number."""
+
+    number: int
+    data: bytes
 
 
 STATUS = Request(StatusRequest(), Status, 2.0)
@@ -87,14 +94,17 @@ def ask_parties(
 ) -> dict[Place, T | LfieldError]:
     """What all hosts of some parties answer, in their order. `keys` is where those of this user should be."""
     places = {place: address for party in parties for place, address in party.places.items()}
+    answers: dict[Place, T | LfieldError] = {}
     try:
-        tls, wrong = own_tls(places.values(), keys), None
+        own = own_keys(places.values(), keys)
+        transport, brings = observer(own), brought(own)
     except KeysError as error:
         # Whoever is on this computer must hear it all the same: it may be a stop.
-        tls, wrong = None, error
-    asked = {place: at for place, at in places.items() if wrong is None or at.startswith(UNIX)}
-    answers = dict.fromkeys(places, wrong) | asyncio.run(ask_all(observer(tls), asked, request))
-    return {place: answer for place, answer in answers.items() if answer is not None}
+        transport, brings = observer(), None
+        answers = {place: error for place, address in places.items() if not address.startswith(UNIX)}
+    asked = {place: address for place, address in places.items() if place not in answers}
+    answers |= asyncio.run(ask_all(transport, asked, request, brings))
+    return {place: answers[place] for place in places}
 
 
 def by_host(answers: Mapping[Place, T | LfieldError], party: Party) -> Answers[T]:
@@ -118,33 +128,49 @@ def tell_silent(hosts: Mapping[str, LfieldError], meaning: str = "") -> None:
         print(f"{host}: {meaning}{why}", file=sys.stderr)
 
 
-def observer(tls: Tls | None = None, connect_timeout: float = 2.0) -> TcpTransport:
-    """What links to hosts are made with; `connect_timeout` in seconds. Over a network it takes keys."""
-    return TcpTransport(_MAX_BLOCK, tls, connect_timeout=connect_timeout)
+def observer(keys: Keys | None = None, connect_timeout: float = 2.0) -> TcpTransport:
+    """What links to hosts are made with; `connect_timeout` in seconds. Over a network it takes keys.
+
+    Raises KeysError for keys that cannot be used.
+    """
+    if keys is None:
+        return TcpTransport(_MAX_BLOCK, connect_timeout=connect_timeout)
+    # Most commands ask on this computer, and TLS takes its time to load.
+    from lfield.net.tls import Tls
+
+    return TcpTransport(_MAX_BLOCK, Tls(keys), connect_timeout=connect_timeout)
 
 
-def own_tls(addresses: Iterable[str], named: Path | None) -> Tls | None:
-    """What this user proves who they are with; None without keys, and where nobody is asked over a network.
+def own_keys(addresses: Iterable[str], named: Path | None) -> Keys | None:
+    """The keys of this user; None where there are none, or nobody is asked over a network.
 
     Raises KeysError.
     """
     if all(address.startswith(UNIX) for address in addresses):
         return None
-    # Most commands ask on this computer, and TLS takes its time to load.
-    from lfield.net.tls import Tls
-
     found = folder.find("person", folder.ME, named, os.environ)
-    return Tls(folder.read(found, "person")) if found is not None else None
+    return folder.read(found, "person") if found is not None else None
+
+
+def brought(keys: Keys | None) -> Brought | None:
+    """The revocation list of somebody's keys, for hosts that have an older one. Raises KeysError."""
+    if keys is None or not keys.revoked:
+        return None
+    # It is seldom there, and cryptography is large.
+    from lfield.authority.reading import revoked_in
+
+    return Brought(revoked_in(keys.revoked, keys.authority).number, keys.revoked)
 
 
 async def ask_all(
-    transport: Transport, addresses: Mapping[K, str], request: Request[T]
+    transport: Transport, addresses: Mapping[K, str], request: Request[T], brings: Brought | None = None
 ) -> dict[K, T | LfieldError]:
-    """The answer of every host by its key, all asked at once."""
+    """The answer of every host by its key, all asked at once; `brings` a revocation list to them."""
 
     async def one(key: K, address: str) -> T | LfieldError:
+        host = key.host if isinstance(key, Place) else str(key)
         try:
-            return await ask(transport, address, request, key.host if isinstance(key, Place) else str(key))
+            return await ask(transport, address, request, host, brings)
         except LfieldError as error:
             return error
 
@@ -152,12 +178,18 @@ async def ask_all(
     return dict(zip(addresses, answers, strict=True))
 
 
-async def ask(transport: Transport, address: str, request: Request[T], host: str | None = None) -> T:
+async def ask(
+    transport: Transport,
+    address: str,
+    request: Request[T],
+    host: str | None = None,
+    brings: Brought | None = None,
+) -> T:
     """The answer of the host at an address, where `host` is meant to be.
 
     Raises AddressError, GreetingError, WireError, KeysError.
     """
-    asking = _Asking(request, host)
+    asking = _Asking(request, host, brings)
     link = await transport.connect(address, asking)
     try:
         if link.who.kind == "stranger":
@@ -178,8 +210,8 @@ async def ask(transport: Transport, address: str, request: Request[T], host: str
 class _Asking(Generic[T]):
     """The handler of one link: greets, asks, keeps the answer."""
 
-    def __init__(self, request: Request[T], host: str | None) -> None:
-        self._request, self._host = request, host
+    def __init__(self, request: Request[T], host: str | None, brings: Brought | None) -> None:
+        self._request, self._host, self._brings = request, host, brings
         self._greeting: Greeting | None = None
         self.answer: asyncio.Future[T] = asyncio.get_running_loop().create_future()
 
@@ -193,7 +225,10 @@ class _Asking(Generic[T]):
     def on_message(self, link: Link, message: Message) -> None:
         greeting = self.greet(link)
         if greeting.peer is None:
-            link.greeted(greeting.receive(message).role)
+            hello = greeting.receive(message)
+            link.greeted(hello.role)
+            if self._brings is not None and hello.revoked < self._brings.number:
+                link.send(Revocations(self._brings.data))
             link.send(self._request.message)
         elif isinstance(message, Refuse):
             raise GreetingError(f"{greeting.peer.host} refused: {message.reason}")

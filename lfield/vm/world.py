@@ -53,7 +53,8 @@ class World(Protocol):
         `Machine.go` this is asked again, unless `Machine.resume` says why not. Whoever is told that, or is
         given up (`give_up`), has not got it. `nested`: it has another one, and must not wait for this one.
 
-        Raises Trap (ReservedException, UnreachableResourceException): it has not got it.
+        Raises Trap (ReservedException, UnreachableResourceException): it has not got it. A coordinator whose
+        rules allow it no call of the resource is refused before.
         """
 
     def drop(self, agent: Agent, held: Sequence[tuple[Member, int]]) -> None:

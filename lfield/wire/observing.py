@@ -134,7 +134,7 @@ class JournalStatus(Struct, frozen=True, array_like=True, forbid_unknown_fields=
 
 
 class BundleStatus(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
-    """The bundle that a host runs: its digest, who has signed it ('' where nobody was asked for), and when."""
+    """The bundle that a host runs: its digest, who has signed it ('' where nobody had to), and when."""
 
     digest: Hash
     by: Text = ""
@@ -149,8 +149,8 @@ class Status(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, t
     `silence` for how many it may give none; both None without devices. `journal` is None for a host that
     keeps nothing. `paused`: no agent runs here until the mission is resumed. For so many seconds yet its
     `lease` lets coordinators act, None where they need none. `begun` are the calls that were begun here and
-    are still to be fetched, `reserved` the resources here that coordinators have reserved. `bundle` is None for a
-    mission that was read from files.
+    are still to be fetched, `reserved` the resources here that coordinators have reserved. `bundle` is None
+    for a mission that was read from files.
     """
 
     host: Name

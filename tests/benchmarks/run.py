@@ -10,6 +10,7 @@ from harness.picture import Pictured
 FIGURES = {
     "hop": "hops.hop",
     "stages": "hops.stages",
+    "tls": "hops.secrecy",
     "local": "hops.local",
     "agreement": "hops.agreement",
     "together": "hops.together",
@@ -37,6 +38,7 @@ FIGURES = {
     "rankings": "capability.rankings",
     "directory": "capability.directory",
     "traffic": "team.traffic",
+    "strangers": "team.strangers",
     "leases": "team.leases",
     "recovery": "team.recovery",
     "formation": "team.formation",

@@ -48,10 +48,13 @@ class Round:
     """One team, from its first start to its end."""
 
     def __init__(self, bundle: Path, folder: Path, seed: int) -> None:
-        self._bundle, self._folder = bundle, folder
+        self._bundle, self._folder = folder / bundle.name, folder
         self.verdict = Verdict(dict.fromkeys((*WALKERS, *FENCED), NUMBERS))
         self._dice = random.Random(seed)
-        self._keys = str(Keyring(folder / "keys").give(*(f"h{number}" for number in range(HOSTS))))
+        keyring = Keyring(folder / "keys")
+        self._keys = str(keyring.give(*(f"h{number}" for number in range(HOSTS))))
+        self._bundle.write_bytes(bundle.read_bytes())
+        keyring.sign(self._bundle)
         self.disks = [Disk(folder / f"disk{number}") for number in range(HOSTS)]
         self.hosts: list[HostProcess] = []
         self.faults: Counter[str] = Counter()

@@ -176,6 +176,12 @@ def test_the_rule_that_takes_a_right_is_named() -> None:
     )
 
 
+def test_all_that_is_taken_is_told_by_right() -> None:
+    taken = PEOPLE.barred(person(ALL, "carl"))
+    assert taken == {Right.OPERATE: PEOPLE.why_not(person(ALL, "carl"), Right.OPERATE)}
+    assert PEOPLE.barred(person(frozenset({Right.STOP}), "bob")) == UNWRITTEN.barred(person(ALL)) == {}
+
+
 def test_people_are_persons_only() -> None:
     for who in (Identity("local", "bob", ALL), Identity("host", "bob", ALL), STRANGER):
         assert PEOPLE.narrowed(who) is who

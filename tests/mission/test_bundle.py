@@ -48,6 +48,22 @@ def sealed(data: bytes, **changed: bytes) -> bytes:
     return header + table + b"".join(parts.values())
 
 
+def test_a_signature_lies_behind_the_parts_and_is_nobodys_to_read(data: bytes, rich: Mission) -> None:
+    """What it is worth, `authority/signature.py` says; a bundle with one is the same bundle."""
+    once = bundle.with_signature(data, b"signed")
+    assert (bundle.contents(data).signature, bundle.contents(once).signature) == (b"", b"signed")
+    assert bundle.contents(once)[:3] == bundle.contents(data)[:3]
+    assert bundle.decode(once).program.digest == rich.program.digest
+    again = bundle.with_signature(once, b"signed by another")
+    assert (
+        again == data[:6] + len(b"signed by another").to_bytes(2, "little") + data[8:] + b"signed by another"
+    )
+    assert bundle.with_signature(again, b"") == data
+    for cut in (once[:-1], once + b"\0", data[:6] + b"\1\0" + data[8:], data[:6] + b"\xff\xff" + data[8:]):
+        with pytest.raises(BundleError):
+            bundle.contents(cut)
+
+
 # --- what goes in comes out -------------------------------------------------------------------------------
 
 

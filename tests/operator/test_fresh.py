@@ -87,11 +87,11 @@ def test_who_is_parked_elsewhere_is_given_up_there_or_nothing_is_thrown_away(
     kept(file, AWAY)
     others = {"bravo": "b:1"}
     if reached:
-        assert begun_anew(file, OWNER, others, print, yes=True)
+        assert begun_anew(file, OWNER, others, print, None, yes=True)
         assert [page.outcome for page in kept(file) if isinstance(page, CopyPage)] == ["lost"]
     else:
         with pytest.raises(CoordinatorAlive, match=r"bravo.* has not given it up: .*no answer within 8 s"):
-            begun_anew(file, OWNER, others, print, yes=True)
+            begun_anew(file, OWNER, others, print, None, yes=True)
         assert AWAY in kept(file)
     assert "  scout, start 2, after 5 hops, parked at bravo\n" in capsys.readouterr().out
     assert asked == [(others, STATUS.message), (others, Forget("scout"))]
@@ -110,14 +110,14 @@ def test_it_asks_and_a_no_or_nobody_changes_nothing(tmp_path, monkeypatch, capsy
     kept(file, HERE, Run(True), Starts(3))
     monkeypatch.setattr(sys, "stdin", io.StringIO("yes\n"))
     with pytest.raises(UsageError, match="nothing was thrown away: nobody can be asked here; add --yes"):
-        begun_anew(file, OWNER, {}, print, yes=False)
+        begun_anew(file, OWNER, {}, print, None, yes=False)
     monkeypatch.setattr(sys.stdin, "isatty", lambda: True, raising=False)
     monkeypatch.setattr("builtins.input", lambda question: "no")
-    assert not begun_anew(file, OWNER, {}, print, yes=False)
+    assert not begun_anew(file, OWNER, {}, print, None, yes=False)
     assert HERE in kept(file)
     assert "  pilot, start 3, after 2 hops\n" in capsys.readouterr().out
     monkeypatch.setattr("builtins.input", lambda question: "yes")
-    assert begun_anew(file, OWNER, {}, print, yes=False)
+    assert begun_anew(file, OWNER, {}, print, None, yes=False)
     pages = kept(file)
     assert {page.outcome for page in pages if isinstance(page, CopyPage)} == {"lost"}
     assert Run(False) in pages
@@ -130,5 +130,5 @@ def test_it_is_refused_while_a_coordinator_may_be_alive_elsewhere(tmp_path):
     with pytest.raises(
         CoordinatorAlive, match=r"scout, start 2, left for bravo \(transfer 7\) and may go on"
     ):
-        begun_anew(file, OWNER, {}, print, yes=True)
+        begun_anew(file, OWNER, {}, print, None, yes=True)
     assert HERE in kept(file)

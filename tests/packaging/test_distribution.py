@@ -99,7 +99,12 @@ def test_the_metadata_names_licence_extras_and_entry_points(wheel):
     )
     needed = metadata.get_all("Requires-Dist")
     core = [requirement for requirement in needed if "extra ==" not in requirement]
-    assert sorted(word.split(">")[0].strip() for word in core) == ["msgspec", "pyyaml", "rich"]
+    assert sorted(word.split(">")[0].strip() for word in core) == [
+        "cryptography",
+        "msgspec",
+        "pyyaml",
+        "rich",
+    ]
     assert any(word.startswith("pymavlink") and "'mavlink'" in word for word in needed)
     assert "Apache License" in _metadata(wheel, "licenses/LICENSE")
     points = _metadata(wheel, "entry_points.txt")

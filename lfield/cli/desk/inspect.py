@@ -7,7 +7,10 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from lfield.errors import KeysError
+
 if TYPE_CHECKING:
+    from lfield.mission.bundle import Contents
     from lfield.vm.inspect.decode import BlockView
 
 
@@ -120,10 +123,7 @@ def _show_mission(file: Path) -> int:
         data = bundle.encode(mission)
     found = bundle.contents(data)
     print(f"bundle    {found.digest.hex()[:16]} of {mission.name}")
-    if found.signature:
-        print(
-            f"          {'signature':<9}{len(found.signature):>9} bytes, which a host holds against its keys"
-        )
+    print(f"signed    {_signed(found)}")
     for part in found.table:
         print(f"          {part.name:<9}{part.size:>9} bytes  {part.digest.hex()[:16]}")
     for number, host in enumerate(mission.team.hosts):
@@ -135,6 +135,30 @@ def _show_mission(file: Path) -> int:
                 print(f"    {device.field} = {device.type} by {device.driver} at {device.endpoint}")
     if mission.fenced:
         print(f"\nrecovery of {listed(sorted(mission.fenced))} by {mission.recovery}")
+    if mission.access.file:
+        whom = [person.name for person in mission.access.people]
+        whom += [caller.name for caller in mission.access.callers]
+        print(f"\n{mission.access.file} says what they may do: {listed(dict.fromkeys(whom))}")
     for name, driver in mission.drivers.by_driver.items():
         print(f"\ndriver {name} of {driver.to_install}")
     return 0
+
+
+def _signed(found: Contents) -> str:
+    """Who has signed a bundle, as far as keys of this computer can tell."""
+    from lfield.authority.folder import folders_here, read_trusted
+    from lfield.authority.judge import when
+
+    if not found.signature:
+        return "by nobody"
+    here = folders_here(os.environ)
+    if not here:
+        return "by somebody: there are no keys here to see by whom"
+    # cryptography takes a moment, and nothing that is not signed needs it.
+    from lfield.authority.signature import signed
+
+    try:
+        who, at = signed(found.digest, found.signature, read_trusted(here[0]))
+    except KeysError as error:
+        return f"by nobody of ours: {error}"
+    return f"by {who}, {when(at)}"

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import argparse
+import os
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -36,6 +38,7 @@ def run(args: argparse.Namespace) -> int:
     from lfield import loop
     from lfield.driver.plugins import discover
     from lfield.operator.doctor import system
+    from lfield.operator.keys_health import keys_here
 
     findings: list[Finding] = []
 
@@ -44,7 +47,7 @@ def run(args: argparse.Namespace) -> int:
         _tell(finding)
 
     plugins = discover()
-    for finding in system(plugins):
+    for finding in (*system(plugins), *keys_here(os.environ, time.time())):
         told(finding)
     # On the loop of a host: it is its lateness that is measured.
     loop.run(_look(plugins, told) if args.deploy is None else _try_devices(args, plugins, told))

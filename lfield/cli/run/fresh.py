@@ -11,9 +11,9 @@ from lfield.cli.yes import says_yes
 from lfield.errors import CoordinatorAlive, LfieldError, UsageError
 
 if TYPE_CHECKING:
+    from lfield.authority.keys import Keys
     from lfield.journal.opening import Owner
     from lfield.journal.pages import CopyPage
-    from lfield.net.tls import Tls
     from lfield.operator.ask import Answers
     from lfield.operator.fresh import Anew
     from lfield.wire.observing import Forgotten
@@ -24,13 +24,13 @@ def begun_anew(
     owner: Owner,
     others: Mapping[str, str],
     tell: Callable[[str], None],
-    tls: Tls | None,
+    keys: Keys | None,
     *,
     yes: bool,
 ) -> bool:
     """Whether the journal was made ready for a new run; False when the person does not want it.
 
-    `others` are the addresses of the other hosts by name, who are asked with `tls`; `tell` takes lines for
+    `others` are the addresses of the other hosts by name, who are asked with `keys`; `tell` takes lines for
     people. Raises JournalError, CoordinatorAlive, UsageError.
     """
     import asyncio
@@ -44,7 +44,7 @@ def begun_anew(
     journal = FileJournal(file, owner, tell, SystemClock())
     try:
         pages = journal.pages()
-        answers = asyncio.run(ask_all(observer(tls), others, STATUS)) if left(pages) else {}
+        answers = asyncio.run(ask_all(observer(keys), others, STATUS)) if left(pages) else {}
         found = anew(owner.host, pages, answers)
         if found.away:
             raise CoordinatorAlive(_in_the_way(found.away))
@@ -52,7 +52,7 @@ def begun_anew(
             return False
         # First: what is not given up there is not thrown away here.
         for page, where in found.parked.items():
-            word = ask_all(observer(tls), {where: others[where]}, forget(page.agent))
+            word = ask_all(observer(keys), {where: others[where]}, forget(page.agent))
             _insist_on_an_answer(page.agent, asyncio.run(word))
         loop.run(journal.keep(found.pages))
         return True

@@ -16,7 +16,6 @@ if TYPE_CHECKING:
 
     from lfield.host.process.proving import Proof
     from lfield.mission.mission import Mission
-    from lfield.net.tls import Tls
 
 
 def proof_of(host: str, args: argparse.Namespace) -> Proof | None:
@@ -37,7 +36,7 @@ def proof_of(host: str, args: argparse.Namespace) -> Proof | None:
 
 
 def signed_here(mission: Mission, args: argparse.Namespace) -> Mission:
-    """A mission that was built just now, of this user's files: whoever may sign bundles has signed it by that.
+    """A mission that was built just now of files: by having it run, whoever may sign bundles has signed it.
 
     Without such keys it stays as it is, and a host says what is missing. Raises KeysError for keys that
     cannot be used.
@@ -63,21 +62,20 @@ def signed_here(mission: Mission, args: argparse.Namespace) -> Mission:
     return replace(mission, release=replace(mission.release, signature=signature))
 
 
-def tls_for_asking(host: str, args: argparse.Namespace) -> Tls | None:
+def keys_for_asking(host: str, args: argparse.Namespace) -> Keys | None:
     """What somebody asks the others with who starts a host: this user's keys, else the host's.
 
     Raises KeysError.
     """
     from lfield.authority import folder
     from lfield.errors import KeysError
-    from lfield.net.tls import Tls
 
     with suppress(KeysError):
         found = folder.find("person", folder.ME, args.keys, os.environ)
         if found is not None:
-            return Tls(folder.read(found, "person"))
+            return folder.read(found, "person")
     proof = proof_of(host, args)
-    return Tls(proof.keys) if proof is not None else None
+    return proof.keys if proof is not None else None
 
 
 class _Given(NamedTuple):
@@ -98,21 +96,16 @@ def minted(hosts: Iterable[str], bundle: Release) -> Mapping[str, int]:
     import msgspec
 
     from lfield.authority.minted import Minted
+    from lfield.net.tls import piped
 
     now = time.time()
     made = Minted.for_hosts(hosts, now)
-    bundle = replace(bundle, by="whoever started it", at=now)
-    descriptors = {}
-    for host, keys in made.hosts.items():
-        descriptors[host] = os.memfd_create("keys", 0)
-        with open(descriptors[host], "wb", closefd=False) as file:
-            file.write(msgspec.msgpack.encode(_Given(keys, bundle)))
-    return descriptors
+    bundle = Release(bundle.digest, by="whoever started it", at=now)
+    return {host: piped(msgspec.msgpack.encode(_Given(keys, bundle))) for host, keys in made.hosts.items()}
 
 
 def _inherited(descriptor: int) -> _Given:
     import msgspec
 
     with open(descriptor, "rb") as file:
-        file.seek(0)
         return msgspec.msgpack.decode(file.read(), type=_Given)

@@ -58,21 +58,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default=15.0,
         help="with --until-done: end when a host was not heard by anybody for so long (default 15)",
     )
-    parser.add_argument(
-        "--state", metavar="DIR", type=Path, help="where a host keeps its coordinators; also with --sim"
-    )
-    parser.add_argument(
-        "--volatile", action="store_true", help="keep nothing: what a host has is gone when it stops"
-    )
-    parser.add_argument(
-        "--fresh", action="store_true", help="begin anew: throw away, after a yes, what this host keeps"
-    )
-    parser.add_argument("--yes", action="store_true", help="with --fresh: throw it away without asking")
-    parser.add_argument(
-        "--first-start",
-        action="store_true",
-        help="this host has never started its coordinators before, and need not hear all others first",
-    )
+    _add_kept(parser)
     parser.add_argument(
         "--engine",
         choices=("auto", "wasm", "reference"),
@@ -90,6 +76,24 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="how long the mission may take: keys that end before that are refused (default a day)",
     )
     _add_hidden(parser)
+
+
+def _add_kept(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--state", metavar="DIR", type=Path, help="where a host keeps its coordinators; also with --sim"
+    )
+    parser.add_argument(
+        "--volatile", action="store_true", help="keep nothing: what a host has is gone when it stops"
+    )
+    parser.add_argument(
+        "--fresh", action="store_true", help="begin anew: throw away, after a yes, what this host keeps"
+    )
+    parser.add_argument("--yes", action="store_true", help="with --fresh: throw it away without asking")
+    parser.add_argument(
+        "--first-start",
+        action="store_true",
+        help="this host has never started its coordinators before, and need not hear all others first",
+    )
 
 
 def _add_hidden(parser: argparse.ArgumentParser) -> None:
@@ -285,7 +289,7 @@ def _place(mission: Mission, host: str, args: argparse.Namespace) -> tuple[Path,
 def _ready(mission: Mission, host: str, args: argparse.Namespace) -> bool:
     """Whether the host may start: with --fresh, when what it keeps was thrown away. Raises LfieldError."""
     from lfield.cli.run.fresh import begun_anew
-    from lfield.cli.run.own_keys import tls_for_asking
+    from lfield.cli.run.own_keys import keys_for_asking
 
     if args.yes and not args.fresh:
         raise UsageError("--yes is an answer to --fresh")
@@ -294,7 +298,7 @@ def _ready(mission: Mission, host: str, args: argparse.Namespace) -> bool:
     if not _keeps(mission, args):
         raise UsageError("--fresh is for a host that keeps its coordinators: this one keeps nothing")
     others = {name: address for name, address in mission.team.reached.items() if name != host}
-    return begun_anew(*_place(mission, host, args), others, tell, tls_for_asking(host, args), yes=args.yes)
+    return begun_anew(*_place(mission, host, args), others, tell, keys_for_asking(host, args), yes=args.yes)
 
 
 def _with_own_drivers(mission: Mission, host: str) -> Mission:

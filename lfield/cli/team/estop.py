@@ -106,7 +106,7 @@ def way_down(
     """Look at the devices until they are at rest, and name those that are not; the status it comes to."""
     from lfield.cli.views.way_down import watch
     from lfield.clock import SystemClock
-    from lfield.operator.ask import observer, own_tls
+    from lfield.operator.ask import observer, own_keys
     from lfield.operator.descent import Descent
 
     within = max((run.note.rest_within for party in parties for run in party.runs), default=REST_WITHIN)
@@ -115,8 +115,11 @@ def way_down(
         if not isinstance(answer, Exception):
             descent.stopped(place, answer)
     try:
-        places = {place: at for party in parties for place, at in party.places.items()}
-        watch(descent, observer(own_tls(places.values(), keys)), places, names)
+        known = {place: at for party in parties for place, at in party.places.items()}
+        places = {
+            place: known[place] for place, answer in answers.items() if not isinstance(answer, Exception)
+        }
+        watch(descent, observer(own_keys(places.values(), keys)), places, names)
         interrupted = False
     except KeyboardInterrupt:
         _tell("no longer looking, and nothing else has changed: 'lfield ps' shows how the devices are")

@@ -60,10 +60,10 @@ def _carry_out(parties: list[Party], belief: Belief, host: str, keys: Path | Non
     """Raises CoordinatorAlive when the host says no, and AddressError when it says nothing."""
     import asyncio
 
-    from lfield.operator.ask import ask, observer, own_tls, recover
+    from lfield.operator.ask import ask, observer, own_keys, recover
 
     address = next(party.places[belief.place] for party in parties if belief.place in party.places)
-    transport = observer(own_tls([address], keys))
+    transport = observer(own_keys([address], keys))
     answer = asyncio.run(ask(transport, address, recover(belief.word), belief.place.host))
     if not answer.generation:
         raise CoordinatorAlive(f"nothing was done: {answer.reason}")

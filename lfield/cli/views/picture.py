@@ -20,7 +20,7 @@ from lfield.operator.whereabouts import what_can_be_done
 from lfield.text.values import telemetry_in_words
 from lfield.text.visible import in_one_line
 from lfield.wire.coordinators import Known
-from lfield.wire.observing import DeviceStatus, JournalStatus, ParkedStatus, Status, Told
+from lfield.wire.observing import BundleStatus, DeviceStatus, JournalStatus, ParkedStatus, Status, Told
 
 
 def show(answers: Answers[Status]) -> None:
@@ -191,6 +191,7 @@ def _status(status: Status) -> dict[str, Any]:
         "up": status.up,
         "program": status.program.hex()[:16],
         "deployment": status.deployment.hex()[:16],
+        "bundle": _bundle(status.bundle),
         "agents": [asdict(agent) for agent in status.agents],
         "coordinators": [_coordinator(known) for known in status.coordinators],
         "linked": [link.host for link in status.links if link.away is None],
@@ -208,6 +209,10 @@ def _status(status: Status) -> dict[str, Any]:
         "moving": {device.name: device.moving for device in status.devices if device.moving},
         "directory": _directory(status.directory),
     }
+
+
+def _bundle(run: BundleStatus | None) -> dict[str, Any] | None:
+    return None if run is None else {"digest": run.digest.hex()[:12], "signed_by": run.by, "signed": run.at}
 
 
 _PARKED = ("generation", "hops", "state", "where")

@@ -142,6 +142,10 @@ class Access(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields
         gives = in_order(person.may).replace(",", ", ") or "nothing"
         return f"{who} may not {right} in this mission: {self.file}:{person.line} gives {person.name} {gives}"
 
+    def barred(self, who: Identity) -> dict[Right, str]:
+        """The rights that a person loses here, each with the sentence that says by which rule."""
+        return {right: self.why_not(who, right) for right in who.may - self.narrowed(who).may}
+
     def _person(self, name: str) -> Person | None:
         known = {person.name: person for person in self.people}
         return known.get(name) or known.get(OTHERS)

@@ -103,8 +103,22 @@ class Reserving:
     def _asked(self, agent: Agent, wanted: Entry) -> int:
         """The number that this host gives, 0 for not yet: then it is frozen. Raises Trap."""
         portals.living(self._scheduler, wanted.resource)
+        if why := self._barred(agent, wanted.resource):
+            raise Trap("AccessException", why)
         agent.frozen = True
         return self._scheduler.world.take(agent, wanted.resource, nested=self._held.nested(agent))
+
+    def _barred(self, agent: Agent, resource: Member) -> str:
+        """Why a coordinator must not keep a resource from others: it may call nothing of it; '' if it may."""
+        rules, methods = self._scheduler.attached.rules, self._scheduler.program.core.methods
+        if rules is None:
+            return ""
+        owner = self._scheduler.program.class_index[resource.type]
+        own = (n for n, method in enumerate(methods) if method.owner == owner and method.kind == "portal")
+        refused = [rules(agent.id, resource.id, portal) for portal in own]
+        if not (refused and all(refused)):
+            return ""
+        return f"{resource.id} is not reserved for whom it does not serve: {refused[0]}"
 
     def _note(self, agent: Agent, number: int) -> None:
         """Into the array, wherever it is now: the block may have been packed meanwhile."""

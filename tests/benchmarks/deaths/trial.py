@@ -16,7 +16,7 @@ from pathlib import Path
 
 from deaths.device_log import DeviceLog, Verdict, judge
 from deaths.devices import Device
-from harness.checkout import Checkout, Mission
+from harness.checkout import Checkout, Mission, sign
 from harness.processes import Child, Processes
 
 #: Seconds between two looks, from the start of a host until its device moves, and until a guard that is left
@@ -92,8 +92,9 @@ class Subject:
         agents = [f"//{self.device.resource}:a@here?{way}"]
         mission = Mission(processes.folder(), _PROGRAM, agents, bindings)
         self._checkout.lfield(processes, "build", str(mission.deploy), merged=True).wait()
-        bundle, memory = str(mission.deploy.with_suffix(".lfm")), self._checkout.keeping_nothing
-        return [bundle, "--host", "here", *memory, *mission.words[2:]]
+        bundle, memory = mission.deploy.with_suffix(".lfm"), self._checkout.keeping_nothing
+        sign(bundle)
+        return [str(bundle), "--host", "here", *memory, *mission.words[2:]]
 
     def start_host(self, processes: Processes, way: str, silence: float) -> Child:
         """A host that keeps the device moving."""

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import asyncio
 import io
+import time
 from collections.abc import Iterator, Mapping
 from itertools import product
 from pathlib import Path
@@ -20,6 +21,10 @@ from harness.samples import Tick, median
 from hops.taps import ENDS, READ, Stages, Tap, tapping
 
 from lfield import loop
+from lfield.authority.identity import ALL as EVERY_RIGHT
+from lfield.authority.identity import Identity
+from lfield.authority.keys import Keys
+from lfield.authority.minted import Minted
 from lfield.host.core import HostCore
 from lfield.host.host import Host, Options
 from lfield.host.logbook import Logbook
@@ -30,6 +35,7 @@ from lfield.net import framed
 from lfield.net.framed import FramedLink
 from lfield.net.peers import Peers
 from lfield.net.tcp import TcpTransport
+from lfield.net.tls import Tls
 from lfield.vm import machine
 from lfield.vm.machine import Machine
 from lfield.vm.memory.liveness import Liveness
@@ -104,15 +110,19 @@ def rows(case: str, hops: list[Mapping[str, float]]) -> Iterator[Row]:
         yield Row("", stage or REST, samples=samples, ratio=share)
 
 
-async def travel(folder: Path, size: int, count: int, engine: str) -> list[Mapping[str, float]]:
-    """So many hops of a coordinator with so many bytes of live state, after a warm-up."""
+async def travel(
+    folder: Path, size: int, count: int, engine: str, *, plain: bool = False
+) -> list[Mapping[str, float]]:
+    """So many hops of a coordinator with so many bytes of live state, after a warm-up; in TLS, or `plain`."""
     (folder / "mission.L").write_text(_PROGRAM, encoding="utf-8")
     deploy = folder / "mission.dL"
     deploy.write_text(f"//Post:near@a\n//Post:far@b\n//Traveller:traveller@a?{size}\n", encoding="utf-8")
     mission = load_mission(deploy, maps=[f"{host}=127.0.0.1:{free_port()}" for host in "ab"])
     stages = Stages()
     with tapping(stages, TAPS):
-        hosts = [_host(mission, host, engine) for host in "ab"]
+        keys = Minted.for_hosts("ab", time.time()).hosts
+        carried = {host: _plain(mission, host) if plain else _in_tls(mission, keys[host]) for host in "ab"}
+        hosts = [_host(mission, host, engine, transport) for host, transport in carried.items()]
         try:
             await asyncio.gather(*(host.start() for host in hosts))
             while len(stages.hops) < WARM_UP + count:
@@ -124,9 +134,18 @@ async def travel(folder: Path, size: int, count: int, engine: str) -> list[Mappi
     return [*stages.hops[WARM_UP : WARM_UP + count]]
 
 
-def _host(mission: Mission, name: str, engine: str) -> Host:
+def _in_tls(mission: Mission, keys: Keys) -> TcpTransport:
+    return TcpTransport(mission.max_block, Tls(keys))
+
+
+def _plain(mission: Mission, name: str) -> TcpTransport:
+    """Of two hosts: whoever calls is the other."""
+    other = Identity("host", "b" if name == "a" else "a", EVERY_RIGHT)
+    return TcpTransport(mission.max_block, resident=lambda _: other)
+
+
+def _host(mission: Mission, name: str, engine: str, transport: TcpTransport) -> Host:
     options = Options(mission.team.addresses[mission.team.number(name)], engine=engine)
-    transport = TcpTransport(mission.max_block)
     return Host(mission, name, transport, Logbook(io.StringIO(), io.StringIO()), options)
 
 

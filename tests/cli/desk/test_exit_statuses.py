@@ -28,6 +28,11 @@ REACHED: dict[tuple[str, int], tuple[str, str]] = {
     ("build", 65): ("build latin.dL", "latin.L:1:4: error["),
     ("build", 66): ("build mission.dL --devices none.yaml", "cannot read none.yaml"),
     ("build", 73): ("build mission.dL -o none/x.lfm", "cannot write none/x.lfm"),
+    ("keys", 65): ("keys list --authority none", "none has no authority"),
+    ("keys", 69): ("keys show .", "there are none"),
+    ("keys", 73): ("keys init mission.L", "cannot write mission.L: it is not a folder"),
+    ("sign", 65): ("sign latin.lfm", "not a sound bundle"),
+    ("sign", 66): ("sign none.lfm", "cannot read none.lfm"),
     ("disasm", 65): ("disasm latin.lb", "not a sound L program"),
     ("disasm", 66): ("disasm none.lb", "cannot read none.lb"),
     ("inspect", 65): ("inspect latin.block", "not a sound block"),
@@ -77,6 +82,7 @@ REACHED: dict[tuple[str, int], tuple[str, str]] = {
 }
 #: Where the others are tried.
 ELSEWHERE: dict[tuple[str, int], str] = {
+    ("sign", 73): "desk/test_keys_commands.py",
     ("test", 1): "../testing/test_pytest_plugin.py",
     ("test", 66): "../testing/test_pytest_plugin.py",
     ("test", 69): "../testing/test_pytest_plugin.py",

@@ -14,6 +14,7 @@ from lfield.wire.coordinators import Known
 from lfield.wire.observing import (
     AgentStatus,
     BegunStatus,
+    BundleStatus,
     DeviceStatus,
     LinkStatus,
     ReservedStatus,
@@ -91,6 +92,7 @@ def test_all_that_a_host_tells_as_json_and_as_a_table(capsys):
         ],
         [LinkStatus("bravo", None), LinkStatus("carol", 3.5)],
         [Told("near", "", {"battery": ToldFact(0.75, 1.5)}, {"mode": "fc has not reported mode"})],
+        bundle=BundleStatus(bytes(range(32)), "anna\x1b", 1_795_464_000.0),
     )
     answers = {"alpha": status, "bravo": AddressError("127.0.0.1:2", "nobody listens there")}
     assert json.loads(picture.as_json(answers)) == {
@@ -100,6 +102,7 @@ def test_all_that_a_host_tells_as_json_and_as_a_table(capsys):
             "up": 2.5,
             "program": "70" * 8,
             "deployment": "64" * 8,
+            "bundle": {"digest": "000102030405", "signed_by": "anna\x1b", "signed": 1_795_464_000.0},
             "agents": [
                 {
                     "id": "near",
@@ -166,6 +169,8 @@ def test_all_that_a_host_tells_as_json_and_as_a_table(capsys):
         ["alpha", "near.arm", "safe:", "4", "m", "up"],
         ["alpha", "near.eye", "silent", "4", "s", "mode", "hold"],
     ]
+    signed = "bundle 000102030405, signed by anna\\u{1b} 2026-11-23 20:00 UTC: alpha"
+    assert rows[-1] == signed.split()
 
 
 def test_how_late_a_host_was_and_how_long_it_may_be_silent(capsys):

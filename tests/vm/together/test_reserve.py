@@ -377,3 +377,21 @@ def test_giving_back_is_not_cut_short_by_a_limit_that_is_over() -> None:
         " catch (TimeLimitException e) { print(f2i(now() - begun)); }"
     )
     assert (joined.kept, joined.printed) == ([*ALL, *BACK], ["4"])
+
+
+@pytest.mark.parametrize("allowed", ["", "count"])
+def test_who_may_call_nothing_of_a_resource_does_not_keep_it_from_others(allowed: str) -> None:
+    told = 'catch (AccessException e) { print(e.source() + ": " + e.message()); }'
+    body = 'try { reserve (r) { print("in"); } }' + told
+    joined = Reserving(program(body))
+
+    def rules(coordinator: str, resource: str, method: int) -> str:
+        name = joined.program.core.methods[method].name
+        return f"no {name}()" if resource == "r1" and name != allowed else ""
+
+    for machine in joined.machines:
+        machine.attached.rules = rules
+    joined.run()
+    refused = "r1: r1 is not reserved for whom it does not serve: no work()"
+    assert joined.printed == ["in" if allowed else refused]
+    assert joined.kept == ([*ALL, *BACK] if allowed else ["take r0", "drop r0 7"])

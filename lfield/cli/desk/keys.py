@@ -1,0 +1,236 @@
+"""`lfield keys`: the authority of a team, and the keys that it makes for hosts and persons."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import shlex
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from lfield.errors import KeysError, UsageError
+
+if TYPE_CHECKING:
+    from lfield.authority.identity import Identity, Right
+    from lfield.authority.ledger import Made
+
+#: How many days keys last: an authority longer than all that it makes.
+_AUTHORITY_DAYS, _DAYS, _MOST_DAYS = 3650, 365, 36500
+#: Where the authority is, when it is not in the usual folder.
+_VARIABLE = "LFIELD_AUTHORITY"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare its options."""
+    actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
+    init = actions.add_parser("init", help="begin the authority of a team, in a folder of yours")
+    init.add_argument("folder", metavar="DIR", nargs="?", type=Path, help="default: as for --authority")
+    _add_days(init, _AUTHORITY_DAYS)
+    host = actions.add_parser("host", help="make the keys of hosts, by their names in the deployment")
+    host.add_argument("names", metavar="NAME", nargs="+")
+    person = actions.add_parser("person", help="make the keys of a person")
+    person.add_argument("names", metavar="NAME", nargs=1)
+    person.add_argument(
+        "--may",
+        metavar="RIGHT,...",
+        required=True,
+        help="observe; stop, which brings observe; operate, which brings both; command: sign bundles",
+    )
+    renew = actions.add_parser("renew", help="make keys last longer; what is in use stays good until its end")
+    renew.add_argument("what", choices=("host", "person", "authority"))
+    renew.add_argument("names", metavar="NAME", nargs="*")
+    renew.add_argument("--new-key", action="store_true", help="with a new private key, to be copied too")
+    revoke = actions.add_parser("revoke", help="put keys on the list of those that count no more")
+    revoke.add_argument("what", choices=("host", "person", "serial"))
+    revoke.add_argument("names", metavar="NAME", nargs=1, help="or the number of one certificate")
+    listed = actions.add_parser("list", help="everything that the authority has made")
+    show = actions.add_parser("show", help="whose keys are in a folder, and whether they can be used")
+    show.add_argument(
+        "folder", metavar="DIR", nargs="?", type=Path, help="default: all keys of this computer"
+    )
+    for each in (host, person, renew):
+        _add_days(each, _DAYS)
+    for each in (host, person, renew, revoke, listed):
+        each.add_argument(
+            "--authority",
+            metavar="DIR",
+            type=Path,
+            help=f"its folder (default: ${_VARIABLE}, or ~/.config/lfield/authority)",
+        )
+
+
+def _add_days(parser: argparse.ArgumentParser, default: int) -> None:
+    parser.add_argument("--days", metavar="N", type=_days, help=f"how long they last (default: {default})")
+
+
+def _days(word: str) -> int:
+    days = int(word)
+    if not 0 < days <= _MOST_DAYS:
+        raise argparse.ArgumentTypeError(f"must be a number of days from 1 to {_MOST_DAYS}")
+    return days
+
+
+def run(args: argparse.Namespace) -> int:
+    """0; `show` gives 69 when some of the keys cannot be used."""
+    match args.action:
+        case "init":
+            return _init(args)
+        case "host" | "person":
+            return _make(args)
+        case "renew":
+            return _renew(args)
+        case "revoke":
+            return _revoke(args)
+        case "list":
+            return _list(args)
+        case _:
+            return _show(args)
+
+
+def _authority(named: Path | None) -> Path:
+    from lfield.authority.folder import own_settings
+
+    if named is not None:
+        return named
+    said = os.environ.get(_VARIABLE, "")
+    return Path(said) if said else own_settings(os.environ) / "authority"
+
+
+def _ends(args: argparse.Namespace, at: float, default: int = _DAYS) -> float:
+    return at + (args.days or default) * 86400.0
+
+
+# --- making -----------------------------------------------------------------------------------------------
+
+
+def _init(args: argparse.Namespace) -> int:
+    from lfield.authority.judge import when
+    from lfield.authority.ledger import KEY, begin
+
+    at = time.time()
+    ledger = begin(_authority(args.folder), at, _ends(args, at, _AUTHORITY_DAYS))
+    made = ledger.authority
+    print(f"{ledger.folder}: the authority {made.fingerprint[:12]}, until {when(made.ends)}")
+    print(f"whoever has {KEY} can make keys that may do everything: keep the folder to yourself, and a copy")
+    print("next: 'lfield keys host NAME ...' for the hosts, 'lfield keys person NAME --may ...' for yourself")
+    return 0
+
+
+def _make(args: argparse.Namespace) -> int:
+    from lfield.authority.ledger import opened
+
+    may = _rights(args.may) if args.action == "person" else ()
+    at = time.time()
+    with opened(_authority(args.authority)) as ledger:
+        for name in args.names:
+            _tell_made(ledger.make(args.action, name, may, at, _ends(args, at)))
+    return 0
+
+
+def _rights(words: str) -> tuple[Right, ...]:
+    from lfield.authority.identity import Right
+    from lfield.text.suggest import did_you_mean, listed
+
+    unknown = [word for word in words.split(",") if word not in list(Right)]
+    for word in unknown:
+        hint = did_you_mean(word, list(Right))
+        raise UsageError(f"--may {word}: rights are {listed(Right)}" + (f"; {hint}" if hint else ""))
+    return tuple(Right(word) for word in words.split(","))
+
+
+def _tell_made(made: Made) -> None:
+    """What was made, and where it goes."""
+    from lfield.authority.folder import ME
+    from lfield.authority.identity import in_order
+    from lfield.authority.judge import when
+
+    who, path = made
+    may = f", may {in_order(who.may)}" if who.kind == "person" else ""
+    print(f"{who}: until {when(who.ends)}{may}")
+    there = who.name if who.kind == "host" else ME
+    words = shlex.quote(str(path))
+    if who.kind == "host":
+        print(f"  on {there}, for a user:      ~/.config/lfield/keys/{there}   a copy of {words}")
+        print(f"  on {there}, for the service: /etc/lfield/keys/{there}, owned by the service's user")
+    else:
+        print(f"  on the computer of {who}: ~/.config/lfield/keys/{there}, a copy of {words}")
+
+
+def _renew(args: argparse.Namespace) -> int:
+    from lfield.authority.judge import when
+    from lfield.authority.ledger import opened
+
+    if bool(args.names) == (args.what == "authority"):
+        raise UsageError("say whom to renew: host NAME ..., person NAME ..., or authority without a name")
+    at = time.time()
+    with opened(_authority(args.authority)) as ledger:
+        if args.what == "authority":
+            ledger.renew_authority(at, _ends(args, at, _AUTHORITY_DAYS))
+            print(f"the authority {ledger.authority.fingerprint[:12]}: until {when(ledger.authority.ends)}")
+            print("  nothing has to be copied: what it has made, and all that trust it, stay as they are")
+            return 0
+        for name in args.names:
+            _tell_made(ledger.renew(args.what, name, at, _ends(args, at), new_key=args.new_key))
+    return 0
+
+
+def _revoke(args: argparse.Namespace) -> int:
+    from lfield.authority.keys import REVOKED
+    from lfield.authority.ledger import opened
+
+    (name,), at = args.names, time.time()
+    with opened(_authority(args.authority)) as ledger:
+        if args.what == "serial":
+            revoked = ledger.revoke_serial(name, at)
+        else:
+            revoked = ledger.revoke(args.what, name, at)
+        for who in revoked:
+            print(f"{who}: certificate {who.serial[:12]} is revoked")
+        path = shlex.quote(str(ledger.folder / REVOKED))
+        print(f"list {ledger.revoked.number} is {path}: copy it into your own keys, or those of a host,")
+        print("and it goes from link to link; a host that is cut off cannot know of it")
+    return 0
+
+
+# --- looking ----------------------------------------------------------------------------------------------
+
+
+def _list(args: argparse.Namespace) -> int:
+    from lfield.authority.judge import when
+    from lfield.authority.ledger import opened
+
+    at = time.time()
+    with opened(_authority(args.authority)) as ledger:
+        made = ledger.authority
+        print(f"{ledger.folder}: the authority {made.fingerprint[:12]}, until {when(made.ends)}")
+        rows = ledger.rows(at)
+        if ledger.revoked.number:
+            print(f"revoked: {ledger.revoked}")
+    for who, state in rows:
+        print(f"  {state:<8}{who.serial[:12]:<14}until {when(who.ends)}  {_described(who)}")
+    return 0
+
+
+def _described(who: Identity) -> str:
+    from lfield.authority.identity import in_order
+
+    return f"{who}, may {in_order(who.may) or 'nothing'}" if who.kind == "person" else str(who)
+
+
+def _show(args: argparse.Namespace) -> int:
+    from lfield import exits
+    from lfield.authority.folder import folders_here
+    from lfield.operator.keys_health import health
+
+    found = folders_here(os.environ) if args.folder is None else [args.folder]
+    if not found:
+        raise KeysError(
+            "there are no keys on this computer: 'lfield keys init' begins, or copy a folder here"
+        )
+    findings = [finding for folder in found for finding in health(folder, time.time())]
+    for finding in findings:
+        print(f"{finding.what}" + (f"\n  -> {finding.cure}" if finding.cure else ""))
+        for line in finding.details:
+            print(f"  {line}")
+    return exits.UNAVAILABLE if any(finding.state == "problem" for finding in findings) else exits.DONE

@@ -1,0 +1,53 @@
+"""`lfield sign`: says by a signature, in the file itself, that this bundle may fly."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+import time
+from pathlib import Path
+
+from lfield.errors import KeysError, UsageError
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare its options."""
+    parser.add_argument("file", metavar="BUNDLE", type=Path, help="a bundle (.lfm), which is signed in place")
+    parser.add_argument(
+        "--keys",
+        metavar="DIR",
+        type=Path,
+        help="your keys (default: $LFIELD_KEYS, or ~/.config/lfield/keys/me)",
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Sign it; the signature that it has is replaced, its digest stays."""
+    from lfield.authority.folder import ME, find, read
+    from lfield.authority.signature import sign, signed
+    from lfield.cli.files import write_bytes
+    from lfield.errors import BundleError
+    from lfield.mission import bundle
+
+    if args.file.suffix != bundle.SUFFIX:
+        raise UsageError(f"{args.file} is no bundle: 'lfield build' makes one of a deployment")
+    data = bundle.read_file(args.file)
+    try:
+        # Nobody signs what no host would read.
+        bundle.decode(data)
+    except BundleError as error:
+        raise error.of(args.file) from None
+    folder = find("person", ME, args.keys, os.environ)
+    if folder is None:
+        raise KeysError(
+            "there are no keys of yours here: 'lfield keys person NAME --may command' makes some, and --keys "
+            "names their folder"
+        )
+    keys = read(folder, "person")
+    digest = bundle.contents(data).digest
+    signature = sign(digest, keys, time.time())
+    write_bytes(args.file, bundle.with_signature(data, signature))
+    who = signed(digest, signature, keys.authority).who
+    print(f"{args.file}: bundle {digest.hex()[:16]}, signed by {who}", file=sys.stderr)
+    return 0

@@ -1,0 +1,100 @@
+"""What time it is, for computers whose clock may have begun in 1970."""
+
+from __future__ import annotations
+
+import math
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from lfield.authority.believed import BelievedTime
+from lfield.authority.identity import NONE, STRANGER, Identity
+
+BRAVO = Identity("host", "bravo", NONE, "b1", 1.7e9, 1.9e9, "a" * 64)
+
+
+class Pi:
+    """A clock that began in 1970, or at `wall`, `up` seconds ago."""
+
+    def __init__(self, wall: float = 0.0, up: float = 5.0) -> None:
+        self.wall, self.up = wall, up
+
+    def monotonic(self) -> float:
+        return self.up
+
+    def time(self) -> float:
+        return self.wall + self.up
+
+    def wait(self, seconds: float) -> None:
+        self.up += seconds
+
+
+def test_a_good_clock_is_believed_and_nothing_is_said() -> None:
+    believed = BelievedTime(Pi(1.8e9), kept=1.79e9)
+    believed.proven(1.75e9, "the certificate of host bravo")
+    believed.told(1.8e9, BRAVO)
+    assert believed.now() == 1.8e9 + 5.0
+    assert believed.line() == ""
+
+
+def test_a_clock_of_1970_goes_on_from_what_was_kept() -> None:
+    clock = Pi()
+    believed = BelievedTime(clock, kept=1.8e9)
+    clock.wait(100.0)
+    assert believed.now() == 1.8e9 + 100.0
+    assert believed.line() == (
+        "the clock of this computer says 1970-01-01 00:01 UTC; it is taken to be 2027-01-15 08:01 UTC, since "
+        "it was so late already when this host ran before; set the clock"
+    )
+
+
+def test_what_the_authority_has_signed_began_already() -> None:
+    believed = BelievedTime(Pi())
+    believed.proven(1.75e9, "the certificate of host bravo")
+    believed.proven(1.72e9, "the certificate of host alpha")
+    assert believed.now() == 1.75e9
+    assert "since the certificate of host bravo began then" in believed.line()
+
+
+def test_the_team_is_believed_within_its_own_certificates() -> None:
+    believed = BelievedTime(Pi())
+    believed.told(1.8e9, BRAVO)
+    assert believed.now() == 1.8e9
+    assert "since host bravo says so" in believed.line()
+    for beyond in (BRAVO.ends, 1e12, math.inf, math.nan, -math.inf, BRAVO.begins - 1.0):
+        believed.told(beyond, BRAVO)
+        assert believed.now() == 1.8e9
+    believed.told(1.85e9, STRANGER)
+    believed.told(1.85e9, Identity("local", "root", NONE))
+    assert believed.now() == 1.8e9
+
+
+def test_what_the_team_says_is_not_kept() -> None:
+    clock = Pi()
+    believed = BelievedTime(clock, kept=1.7e9)
+    believed.told(1.8e9, BRAVO)
+    assert believed.to_keep() == 1.7e9
+    believed.proven(1.75e9, "list 3")
+    clock.wait(10.0)
+    assert believed.to_keep() == 1.75e9 + 10.0
+
+
+def test_no_later_time_is_kept_than_the_own_certificate_has() -> None:
+    assert BelievedTime(Pi(5e9)).to_keep(ends=1.9e9) == 1.9e9
+
+
+def test_a_clock_that_is_set_is_believed_again() -> None:
+    clock = Pi()
+    believed = BelievedTime(clock, kept=1.7e9)
+    assert believed.line()
+    clock.wall = 1.8e9
+    assert believed.now() == clock.time()
+    assert believed.line() == ""
+
+
+@given(st.floats(allow_nan=True), st.floats(0.0, 1e10))
+def test_nobody_turns_the_time_back(word: float, kept: float) -> None:
+    believed = BelievedTime(Pi(), kept)
+    before = believed.now()
+    believed.told(word, BRAVO)
+    assert before <= believed.now() < max(before + 1e-6, BRAVO.ends)

@@ -1,0 +1,246 @@
+"""Key folders, and the folder of an authority: what is in them, who may read them, what is refused."""
+
+from __future__ import annotations
+
+import os
+import stat
+from pathlib import Path
+
+import pytest
+
+from lfield.authority import folder as folders
+from lfield.authority.identity import Right
+from lfield.authority.keys import Keys
+from lfield.authority.ledger import Ledger, begin, opened
+from lfield.authority.reading import checked, revoked_in
+from lfield.errors import KeysError, OutputFileError
+
+AT, DAY = 1795464000.0, 86400.0
+
+
+@pytest.fixture
+def ledger(tmp_path: Path) -> Ledger:
+    return begin(tmp_path / "authority", AT, AT + 3650 * DAY)
+
+
+def mode(path: Path) -> int:
+    return stat.S_IMODE(path.stat().st_mode)
+
+
+def refused(folder: Path, words: str, holder="host") -> None:
+    with pytest.raises(KeysError, match=words):
+        folders.read(folder, holder)
+
+
+def test_keys_are_read_as_they_were_written_and_the_private_one_is_the_owners(ledger: Ledger) -> None:
+    before = os.umask(0)
+    try:
+        made = ledger.make("host", "alpha", (), AT, AT + DAY)
+    finally:
+        os.umask(before)
+    keys = folders.read(made.folder, "host")
+    assert checked(keys) == made.who
+    assert {path.name: mode(path) for path in made.folder.iterdir()} == {
+        "authority.pem": 0o644,
+        "host.pem": 0o644,
+        "host.key": 0o600,
+    }
+    assert mode(made.folder) == mode(ledger.folder) == 0o700
+    assert mode(ledger.folder / "authority.key") == 0o600
+
+
+@pytest.mark.parametrize("bits", [0o640, 0o604, 0o610, 0o601])
+def test_a_private_key_that_others_may_read_is_refused(ledger: Ledger, bits: int) -> None:
+    made = ledger.make("host", "alpha", (), AT, AT + DAY)
+    key = made.folder / "host.key"
+    key.chmod(bits)
+    refused(made.folder, f"it is secret, and others may read it: run 'chmod 600 {key}'")
+    key.chmod(0o400)
+    folders.read(made.folder, "host")
+
+
+def test_what_others_may_write_to_is_not_believed(ledger: Ledger) -> None:
+    made = ledger.make("host", "alpha", (), AT, AT + DAY)
+    (made.folder / "authority.pem").chmod(0o664)
+    refused(made.folder, r"authority.pem cannot be used: others may write to it")
+    (made.folder / "authority.pem").chmod(0o644)
+    made.folder.chmod(0o770)
+    refused(made.folder, "others may write to the folder")
+
+
+def test_files_that_are_not_there_are_links_or_too_large(ledger: Ledger, tmp_path: Path) -> None:
+    made = ledger.make("host", "alpha", (), AT, AT + DAY)
+    key = made.folder / "host.key"
+    key.rename(tmp_path / "elsewhere")
+    refused(made.folder, r"host.key is not there: copy the folder again")
+    key.symlink_to(tmp_path / "elsewhere")
+    refused(made.folder, "it is a link; copy the file itself")
+    key.unlink()
+    os.mkfifo(key, 0o600)
+    refused(made.folder, "no plain file")
+    key.unlink()
+    folders.write(made.folder, Keys("host", b"a", b"c", b"k" * (17 << 10)))
+    refused(made.folder, "too large")
+
+
+def test_where_keys_are_found(ledger: Ledger, tmp_path: Path) -> None:
+    alpha = ledger.make("host", "alpha", (), AT, AT + DAY).folder
+    anna = ledger.make("person", "anna", [Right.STOP], AT, AT + DAY).folder
+    home, system = tmp_path / "home", tmp_path / "system"
+    environment = {"XDG_CONFIG_HOME": str(home)}
+
+    def found(holder, name, named=None, **more) -> Path | None:
+        return folders.find(holder, name, named, {**environment, **more}, system)
+
+    assert found("host", "alpha") is found("person", folders.ME) is None
+    own = home / "lfield" / "keys"
+    own.mkdir(parents=True)
+    (own / "alpha").symlink_to(alpha)
+    (own / "me").symlink_to(anna)
+    assert found("host", "alpha") == own / "alpha"
+    assert found("person", "me") == own / "me"
+    assert found("host", "me") is None
+    system.mkdir()
+    (system / "alpha").symlink_to(alpha)
+    assert found("host", "alpha") == system / "alpha"
+    assert folders.folders_here(environment, system) == [system / "alpha", own / "alpha", own / "me"]
+    assert found("host", "alpha", LFIELD_KEYS=str(alpha)) == alpha
+    assert found("host", "alpha", LFIELD_KEYS=str(alpha.parent)) == alpha
+    assert found("host", "alpha", alpha, LFIELD_KEYS="/nowhere") == alpha
+    for named in (anna, tmp_path, tmp_path / "nowhere"):
+        with pytest.raises(KeysError, match=f"{named} has no keys of host alpha"):
+            found("host", "alpha", named)
+    with pytest.raises(KeysError, match="/nowhere has no keys of a person"):
+        found("person", "me", LFIELD_KEYS="/nowhere")
+
+
+def test_no_name_of_a_host_leads_out_of_the_folder(ledger: Ledger, tmp_path: Path) -> None:
+    alpha = ledger.make("host", "alpha", (), AT, AT + DAY).folder
+    below = alpha / "keys"
+    below.mkdir()
+    assert folders.find("host", "..", None, {"XDG_CONFIG_HOME": str(tmp_path)}, below) is None
+
+
+# --- the authority's own ----------------------------------------------------------------------------------
+
+
+def states(ledger: Ledger, at: float = AT) -> list[tuple[str, str]]:
+    return [(str(row.who), row.state) for row in ledger.rows(at)]
+
+
+def test_an_authority_is_begun_once(ledger: Ledger) -> None:
+    with pytest.raises(KeysError, match="has an authority already"):
+        begin(ledger.folder, AT, AT + DAY)
+    with opened(ledger.folder) as again:
+        assert again.authority.fingerprint == ledger.authority.fingerprint
+    with (
+        pytest.raises(KeysError, match="has no authority: 'lfield keys init' makes one"),
+        opened(ledger.folder / "x"),
+    ):
+        pass
+
+
+def test_an_authority_whose_key_others_may_read_is_refused(ledger: Ledger) -> None:
+    (ledger.folder / "authority.key").chmod(0o644)
+    with pytest.raises(KeysError, match="it is secret"), opened(ledger.folder):
+        pass
+    ledger.folder.chmod(0o777)
+    with pytest.raises(OutputFileError, match="others may write"), opened(ledger.folder):
+        pass
+
+
+@pytest.mark.parametrize(
+    "name", ["", ".", "..", "a/b", "-x", ".alpha", "a b", "al\npha", "ä", "[::1", "x" * 129]
+)
+def test_names_are_those_of_deployments_and_of_folders(ledger: Ledger, name: str) -> None:
+    with pytest.raises(KeysError, match="is no name"):
+        ledger.make("host", name, (), AT, AT + DAY)
+    assert not (ledger.folder / "issued").exists()
+
+
+def test_hosts_may_be_addresses(ledger: Ledger) -> None:
+    for name in ("10.42.0.11", "[fd00::1]", "rover-7.local"):
+        assert checked(folders.read(ledger.make("host", name, (), AT, AT + DAY).folder, "host")).name == name
+
+
+def test_who_has_keys_renews_them(ledger: Ledger) -> None:
+    old = ledger.make("person", "anna", [Right.STOP], AT, AT + DAY)
+    before = folders.read(old.folder, "person")
+    with pytest.raises(KeysError, match="'lfield keys renew person anna' makes them last longer"):
+        ledger.make("person", "anna", [Right.STOP], AT, AT + DAY)
+    new = ledger.renew("person", "anna", AT + 1, AT + 9 * DAY)
+    assert (new.who.may, new.who.ends) == ({Right.STOP, Right.OBSERVE}, AT + 9 * DAY)
+    assert folders.read(new.folder, "person").key == before.key
+    assert states(ledger) == [("anna", "good"), ("anna", "good")]
+    assert states(ledger, AT + 2 * DAY) == [("anna", "ended"), ("anna", "good")]
+    other = ledger.renew("person", "anna", AT + 2, AT + 9 * DAY, new_key=True)
+    keys = folders.read(other.folder, "person")
+    assert keys.key != before.key
+    assert checked(keys) == other.who
+
+
+def test_renewing_does_without_a_private_key_that_was_taken_away(ledger: Ledger) -> None:
+    made = ledger.make("host", "alpha", (), AT, AT + DAY)
+    (made.folder / "host.key").unlink()
+    ledger.renew("host", "alpha", AT + 1, AT + 9 * DAY)
+    assert not (made.folder / "host.key").exists()
+
+
+def test_keys_that_ended_make_room_for_new_ones(ledger: Ledger) -> None:
+    ledger.make("host", "alpha", (), AT, AT + DAY)
+    ledger.make("host", "alpha", (), AT + DAY, AT + 2 * DAY)
+    assert states(ledger, AT + DAY) == [("host alpha", "ended"), ("host alpha", "good")]
+
+
+def test_revoking_takes_all_of_somebody_and_every_folder_has_the_list(ledger: Ledger) -> None:
+    alpha = ledger.make("host", "alpha", (), AT, AT + DAY)
+    ledger.renew("host", "alpha", AT + 1, AT + 9 * DAY)
+    bravo = ledger.make("host", "bravo", (), AT, AT + DAY)
+    gone = ledger.revoke("host", "alpha", AT + 2)
+    assert len(gone) == 2
+    assert states(ledger) == [("host alpha", "revoked"), ("host alpha", "revoked"), ("host bravo", "good")]
+    for folder in (ledger.folder, alpha.folder, bravo.folder):
+        found = revoked_in(folders.read_list(folder), ledger.authority.certificate)
+        assert (found.number, found.serials) == (1, {who.serial for who in gone})
+    with pytest.raises(KeysError, match="no keys of this authority that are not revoked"):
+        ledger.revoke("host", "alpha", AT + 2)
+    with pytest.raises(KeysError, match="no keys that are not revoked: 'lfield keys host alpha' makes some"):
+        ledger.renew("host", "alpha", AT + 3, AT + DAY)
+    anew = ledger.make("host", "alpha", (), AT + 3, AT + DAY)
+    assert folders.read(anew.folder, "host").revoked == folders.read_list(ledger.folder)
+    with opened(ledger.folder) as again:
+        again.revoke("host", "bravo", AT + 4)
+        assert (again.revoked.number, len(again.revoked.serials)) == (2, 3)
+
+
+def test_one_certificate_may_be_revoked_by_its_number(ledger: Ledger) -> None:
+    old = ledger.make("host", "alpha", (), AT, AT + DAY).who
+    new = ledger.renew("host", "alpha", AT + 1, AT + 9 * DAY).who
+    assert ledger.revoke_serial(new.serial, AT + 2) == [new]
+    assert ledger.rows(AT)[0] == (old, "good")
+    assert ledger.renew("host", "alpha", AT + 3, AT + 9 * DAY).who.serial not in (old.serial, new.serial)
+    for serial, words in (
+        (new.serial, "is revoked already"),
+        ("x", "is no number"),
+        ("abcdef0", "no cert"),
+    ):
+        with pytest.raises(KeysError, match=words):
+            ledger.revoke_serial(serial, AT + 3)
+
+
+def test_an_authority_is_renewed_and_all_that_it_made_stays_good(ledger: Ledger) -> None:
+    made = ledger.make("host", "alpha", (), AT, AT + DAY)
+    ledger.renew_authority(AT + 1, AT + 9999 * DAY)
+    assert checked(folders.read(made.folder, "host")) == made.who
+    assert ledger.make("host", "bravo", (), AT + 2, AT + 9000 * DAY).who.ends == AT + 9000 * DAY
+
+
+def test_a_clock_that_went_back_makes_nothing(ledger: Ledger) -> None:
+    ledger.make("host", "alpha", (), AT + DAY, AT + 2 * DAY)
+    for what in (
+        lambda: ledger.make("host", "bravo", (), AT, AT + DAY),
+        lambda: ledger.revoke("host", "alpha", AT),
+        lambda: ledger.renew_authority(AT, AT + 9999 * DAY),
+    ):
+        with pytest.raises(KeysError, match="has made something 2026-11-24 20:00 UTC: set the clock"):
+            what()

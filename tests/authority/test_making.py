@@ -1,0 +1,239 @@
+"""Certificates and lists as they are made, read again, and seen by OpenSSL on both ends of a link."""
+
+from __future__ import annotations
+
+import os
+import ssl
+
+import pytest
+from cryptography.hazmat.primitives.asymmetric import ec
+from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption, PrivateFormat
+from hypothesis import given
+from hypothesis import strategies as st
+
+from lfield.authority.identity import ALL, STRANGER, Identity, Right, identity_of
+from lfield.authority.judge import NO_CHECK_TIME, Revoked
+from lfield.authority.keys import MAX_LIST, Keys
+from lfield.authority.making import Authority, new_authority, read_authority
+from lfield.authority.minted import Minted
+from lfield.authority.reading import (
+    checked,
+    der_of,
+    fingerprint_in,
+    identity_in,
+    identity_in_der,
+    revoked_in,
+)
+from lfield.errors import KeysError
+
+AT, DAY = 1795464000.0, 86400.0
+
+
+@pytest.fixture(scope="module")
+def authority() -> Authority:
+    return new_authority(AT, AT + 3650 * DAY)
+
+
+@pytest.fixture(scope="module")
+def stranger() -> Authority:
+    return new_authority(AT, AT + 3650 * DAY)
+
+
+def keys_of(authority: Authority, name: str = "alpha", holder="host", ends: float = AT + DAY, may=()) -> Keys:
+    issued = authority.issue(holder, name, may=may, at=AT, ends=ends)
+    return Keys(holder, authority.certificate, issued.certificate, issued.key)
+
+
+def test_what_is_made_names_whom_it_is_for(authority: Authority) -> None:
+    who = checked(keys_of(authority, "alpha"))
+    assert (who.kind, who.name, who.may) == ("host", "alpha", frozenset())
+    assert (who.begins, who.ends, who.authority) == (AT, AT + DAY, authority.fingerprint)
+    anna = checked(keys_of(authority, "anna", "person", may=[Right.STOP, Right.OBSERVE]))
+    assert (anna.kind, anna.name, anna.may) == ("person", "anna", {Right.STOP, Right.OBSERVE})
+    assert fingerprint_in(authority.certificate) == authority.fingerprint
+
+
+def test_nothing_lasts_longer_than_its_authority_nor_ends_before_it_begins(authority: Authority) -> None:
+    assert checked(keys_of(authority, ends=AT + 1e12)).ends == authority.ends
+    with pytest.raises(KeysError, match="would end before it begins"):
+        keys_of(authority, ends=AT)
+    with pytest.raises(KeysError, match="is no name"):
+        keys_of(authority, "al\npha")
+
+
+def test_renewing_keeps_the_key_or_takes_a_new_one(authority: Authority) -> None:
+    old = keys_of(authority)
+    renewed = authority.issue("host", "alpha", at=AT + 1, ends=AT + 9 * DAY, renews=old.certificate)
+    assert renewed.key == b""
+    both = Keys("host", authority.certificate, renewed.certificate, old.key)
+    assert checked(both).ends == AT + 9 * DAY
+    assert checked(both).serial != checked(old).serial
+
+
+def test_an_authority_is_read_and_renewed_with_the_same_key(authority: Authority, stranger) -> None:
+    old = keys_of(authority)
+    again = read_authority(authority.certificate, authority.key)
+    later = again.renewed(AT + DAY, AT + 9999 * DAY)
+    assert later.fingerprint == authority.fingerprint
+    assert identity_in(old.certificate, later.certificate) == checked(old)
+    assert checked(keys_of(later, ends=AT + 9000 * DAY)).ends == AT + 9000 * DAY
+    with pytest.raises(KeysError, match=r"authority.key is not the key of authority.pem"):
+        read_authority(authority.certificate, stranger.key)
+
+
+def test_keys_that_do_not_fit_one_another_are_refused(authority: Authority, stranger: Authority) -> None:
+    alpha, bravo = keys_of(authority), keys_of(authority, "bravo")
+    for wrong, words in (
+        (
+            Keys("host", alpha.authority, alpha.certificate, bravo.key),
+            "not that of the certificate of host a",
+        ),
+        (
+            Keys("person", alpha.authority, alpha.certificate, alpha.key),
+            "is not that of a person, but of h",
+        ),
+        (Keys("host", stranger.certificate, alpha.certificate, alpha.key), "is not of this authority"),
+        (Keys("host", alpha.authority, b"x", alpha.key), "it is no certificate"),
+        (Keys("host", alpha.authority, alpha.certificate, b"x"), "it is no private key"),
+        (Keys("host", alpha.authority, alpha.certificate, alpha.key, b"x"), "revocation list cannot be read"),
+    ):
+        with pytest.raises(KeysError, match=words):
+            checked(wrong)
+
+
+def test_keys_of_another_kind_are_refused(authority: Authority) -> None:
+    curve = ec.generate_private_key(ec.SECP256R1())
+    pem = curve.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption())
+    with pytest.raises(KeysError, match="no Ed25519 key"):
+        read_authority(authority.certificate, pem)
+
+
+def test_the_authority_itself_is_nobody(authority: Authority) -> None:
+    with pytest.raises(KeysError, match="cannot be read"):
+        identity_in(authority.certificate, authority.certificate)
+
+
+def test_a_private_key_is_not_printed(authority: Authority) -> None:
+    assert "PRIVATE" not in repr(keys_of(authority))
+
+
+# --- lists ------------------------------------------------------------------------------------------------
+
+
+def test_a_list_is_read_as_it_was_made(authority: Authority) -> None:
+    revoked = Revoked(7, frozenset({"1", "a1b", "f" * 39}), AT + 5)
+    assert revoked_in(authority.revocation_list(revoked), authority.certificate) == revoked
+    nobody = Revoked(1, frozenset(), AT)
+    assert revoked_in(authority.revocation_list(nobody), authority.certificate) == nobody
+
+
+def test_a_list_of_another_authority_or_with_a_bit_changed_is_refused(authority, stranger) -> None:
+    data = authority.revocation_list(Revoked(7, frozenset({"a1b"}), AT))
+    with pytest.raises(KeysError, match="not signed by this authority"):
+        revoked_in(data, stranger.certificate)
+    for at in range(len(data)):
+        for bit in (1, 128):
+            wrong = data[:at] + bytes([data[at] ^ bit]) + data[at + 1 :]
+            with pytest.raises(KeysError):
+                revoked_in(wrong, authority.certificate)
+    for wrong in (data + b"\0", data[:-1], b"", b"\0" * (MAX_LIST + 1)):
+        with pytest.raises(KeysError):
+            revoked_in(wrong, authority.certificate)
+
+
+def test_a_list_that_is_full_says_what_to_do(authority: Authority) -> None:
+    many = frozenset(f"{n:x}" for n in range(1 << 80, (1 << 80) + 3000))
+    with pytest.raises(KeysError, match="begin a new authority"):
+        authority.revocation_list(Revoked(9, many, AT))
+
+
+def test_a_certificate_with_any_byte_changed_is_refused(authority: Authority) -> None:
+    der = der_of(keys_of(authority).certificate)
+    for at in range(len(der)):
+        for bit in (1, 128):
+            wrong = der[:at] + bytes([der[at] ^ bit]) + der[at + 1 :]
+            with pytest.raises(KeysError):
+                identity_in_der(wrong, authority.certificate)
+
+
+@given(st.binary(max_size=300))
+def test_bytes_from_anywhere_are_no_certificate_and_no_list(authority: Authority, data: bytes) -> None:
+    for read in (identity_in_der, identity_in, revoked_in):
+        with pytest.raises(KeysError):
+            read(data, authority.certificate)
+
+
+# --- as TLS sees them -------------------------------------------------------------------------------------
+
+
+def context(keys: Keys, *, server: bool) -> ssl.SSLContext:
+    made = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER if server else ssl.PROTOCOL_TLS_CLIENT)
+    made.minimum_version = ssl.TLSVersion.TLSv1_3
+    made.check_hostname, made.verify_mode = False, ssl.CERT_REQUIRED
+    made.verify_flags |= ssl.VERIFY_X509_STRICT | ssl.VerifyFlags(NO_CHECK_TIME)
+    made.load_verify_locations(cadata=keys.authority.decode())
+    descriptor = os.memfd_create("keys")
+    os.write(descriptor, keys.certificate + keys.key)
+    made.load_cert_chain(f"/proc/self/fd/{descriptor}")
+    os.close(descriptor)
+    return made
+
+
+def shaken(caller: Keys, called: Keys) -> tuple[Identity, Identity]:
+    """Whom each side sees after a handshake in memory: the called one, the caller."""
+    one, other = ssl.MemoryBIO(), ssl.MemoryBIO()
+    client = context(caller, server=False).wrap_bio(one, other)
+    server = context(called, server=True).wrap_bio(other, one, server_side=True)
+    done = set()
+    for _ in range(4):
+        for side in (client, server):
+            try:
+                side.do_handshake()
+                done.add(side)
+            except ssl.SSLWantReadError:
+                pass
+    assert len(done) == 2
+    return identity_of(client.getpeercert() or {}), identity_of(server.getpeercert() or {})
+
+
+def test_both_ends_of_a_link_see_the_same_identities_as_the_reader(authority: Authority) -> None:
+    """Though the certificates ended long ago: that is the judge's."""
+    alpha, bravo = (keys_of(authority, name, ends=AT + 1) for name in ("alpha", "bravo"))
+    assert shaken(alpha, bravo) == (checked(bravo), checked(alpha))
+    anna = keys_of(authority, "anna", "person", may=ALL)
+    assert shaken(anna, bravo)[1] == checked(anna)
+
+
+def test_tls_refuses_keys_of_another_authority(authority: Authority, stranger: Authority) -> None:
+    with pytest.raises(ssl.SSLError, match="verify failed"):
+        shaken(keys_of(authority), keys_of(stranger))
+
+
+def test_a_person_cannot_be_called(authority: Authority) -> None:
+    with pytest.raises(ssl.SSLError, match="unsuitable certificate purpose"):
+        shaken(keys_of(authority), keys_of(authority, "bravo", "person", may=ALL))
+
+
+def test_a_host_cannot_sign_for_another(authority: Authority) -> None:
+    """A certificate that a host's key has signed is of no authority, whatever it says."""
+    alpha = keys_of(authority)
+    forged = read_authority(alpha.certificate, alpha.key).issue("host", "bravo", at=AT, ends=AT + DAY)
+    with pytest.raises(KeysError, match="not of this authority"):
+        identity_in(forged.certificate, authority.certificate)
+
+
+# --- thrown away ------------------------------------------------------------------------------------------
+
+
+def test_keys_of_a_run_are_of_one_authority_that_nobody_else_has() -> None:
+    minted = Minted.for_hosts(["alpha", "bravo"], AT, "anna")
+    assert [(name, checked(keys).name) for name, keys in minted.hosts.items()] == [
+        ("alpha", "alpha"),
+        ("bravo", "bravo"),
+    ]
+    assert (checked(minted.operator).name, checked(minted.operator).may) == ("anna", ALL)
+    assert shaken(minted.operator, minted.hosts["alpha"])[0].name == "alpha"
+    other = Minted.for_hosts(["alpha"], AT)
+    with pytest.raises(ssl.SSLError):
+        shaken(minted.hosts["bravo"], other.hosts["alpha"])
+    assert STRANGER not in shaken(minted.hosts["bravo"], minted.hosts["alpha"])

@@ -1,0 +1,102 @@
+"""What 2,000 connections of strangers cost a host, all at once: memory, and how long a peer waits meanwhile.
+
+Each sends the first word of a TLS handshake and no more, or half of one, or bytes that are none.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import re
+import socket
+import ssl
+import threading
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+
+from harness.checkout import Checkout, Mission
+from harness.figure import Figure, Opener
+from harness.paced import Round
+from harness.processes import Child, Processes
+from harness.samples import Contender
+from harness.words import BYTES
+
+#: Connections that are open at a time, and made in all.
+MANY, IN_ALL = 2000, 4000
+
+_PROGRAM = """
+resource Post { init(string[] arg) { } portal greet() { } }
+coordinator Guest { init(string[] arg) { while (true) findPost("near").greet(); } }
+"""
+
+
+def first_word() -> bytes:
+    """What whoever calls begins a handshake with."""
+    out, context = ssl.MemoryBIO(), ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
+    context.check_hostname = False
+    with contextlib.suppress(ssl.SSLWantReadError):
+        context.wrap_bio(ssl.MemoryBIO(), out).do_handshake()
+    return out.read()
+
+
+def flooded(start: Callable[[], bytes]) -> Opener:
+    """Rounds with connections that begin like that; every round is a host of its own."""
+
+    def opener(checkout: Checkout, _: Processes) -> Contender:
+        return partial(_round, checkout, start())
+
+    return opener
+
+
+def _round(checkout: Checkout, start: bytes) -> Round:
+    with Processes() as processes:
+        mission = Mission(processes.folder(), _PROGRAM, ("//Post:near@a", "//Post:far@b"))
+        host = mission.host(checkout, processes, "a", merged=True)
+        while " is up " not in host.line():
+            pass
+        before = _peak(host)
+        _flood(int(mission.addresses["a"].rpartition(":")[2]), start)
+        return {"more memory at its peak": [float(_peak(host) - before)]}
+
+
+def _flood(port: int, start: bytes) -> None:
+    """Keep so many connections open; two threads, since one waits for the host."""
+    threads = [threading.Thread(target=_half, args=(port, start)) for _ in range(2)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+
+
+def _half(port: int, start: bytes) -> None:
+    held: list[socket.socket] = []
+    for _ in range(IN_ALL // 2):
+        if len(held) == MANY // 2:
+            held.pop(0).close()
+        with contextlib.suppress(OSError):
+            held.append(socket.create_connection(("127.0.0.1", port), 10.0))
+            held[-1].sendall(start)
+    for link in held:
+        link.close()
+
+
+def _peak(host: Child) -> int:
+    found = re.search(r"VmHWM:\s+(\d+) kB", Path(f"/proc/{host.pid}/status").read_text(encoding="ascii"))
+    assert found
+    return int(found[1]) * 1024
+
+
+_HALF = b"\x16\x03\x01\x40\x00\x01\x00\x3f\xfc\x03\x03" + bytes(16000)
+
+FIGURE = Figure(
+    f"A host under {MANY} connections of strangers",
+    {
+        "a handshake that stops": flooded(first_word),
+        "half a record of one": flooded(lambda: _HALF),
+        "no TLS": flooded(lambda: bytes(1000)),
+    },
+    rounds=3,
+    units={"more memory at its peak": BYTES},
+    targets={"more memory at its peak": "30.0 MB"},
+    notes=(f"{MANY} are open at a time, {IN_ALL} in all; a host holds 64 that have not greeted",),
+)

@@ -1,0 +1,101 @@
+"""Hosts with keys run what somebody has signed who may, and say in `ps` what that is."""
+
+from __future__ import annotations
+
+import json
+import re
+import time
+
+import pytest
+
+from lfield.authority.identity import Right
+from lfield.testing.keys import Keyring
+
+pytestmark = pytest.mark.process
+
+PROGRAM = """
+resource Echo { init(string[] arg) { } portal say() { write("here\\n"); } }
+coordinator Caller { init(string[] arg) { findEcho("echo").say(); if (arg.length() > 1) sleep(1000.0); } }
+"""
+TEAM = "//Caller:tom@alpha{stays}\n//Echo:echo@bravo\n"
+
+
+@pytest.fixture
+def made(lfield, here):
+    """`made()`: a bundle of a team of two, not signed, both of which have keys."""
+
+    def make(stays: str = "") -> list[str]:
+        lfield.mission(PROGRAM, TEAM.format(stays=stays))
+        assert here("build", "mission.dL").status == 0
+        return lfield.maps(["alpha", "bravo"])
+
+    return make
+
+
+def refused(lfield, *words: str) -> str:
+    host = lfield("up", "mission.lfm", "--host", "alpha", *words)
+    assert lfield.status(host) == 65, host.said
+    (line,) = host.err
+    return line
+
+
+def test_what_is_signed_runs_and_ps_says_by_whom(lfield, here, made) -> None:
+    maps = made("?stays")
+    signed = here("sign", "mission.lfm")
+    assert (signed.status, "signed by operator" in signed.err[0]) == (0, True)
+    words = ("up", "mission.lfm", *maps, "--first-start")
+    hosts = [lfield.start(*words, "--host", name) for name in ("alpha", "bravo")]
+    hosts[1].wait_for("^here$")
+    shown = here("ps", "mission.lfm", *maps)
+    digest = re.search(r"bundle (\w{12})", signed.err[0])
+    assert digest is not None
+    assert shown.status == 0, shown
+    pattern = rf"bundle {digest[1]}, signed by operator \d{{4}}-\d\d-\d\d \d\d:\d\d UTC: alpha, bravo"
+    assert re.fullmatch(pattern, shown.out[-1])
+    told = json.loads("\n".join(here("ps", "mission.lfm", *maps, "--json").out))["bravo"]["bundle"]
+    assert (told["digest"], told["signed_by"]) == (digest[1], "operator")
+    assert abs(told["signed"] - time.time()) < 600.0
+
+
+def test_what_is_built_from_files_is_signed_by_whoever_runs_it(lfield, made) -> None:
+    maps = made()
+    words = ("up", "--deploy", "mission.dL", *maps, "--until-done", "--first-start")
+    hosts = [lfield.start(*words, "--host", name) for name in ("alpha", "bravo")]
+    assert [host.wait() for host in hosts] == [0, 0]
+    assert hosts[1].out == ["here"]
+
+
+def test_what_nobody_has_signed_who_may_does_not_run(lfield, here, made, tmp_path) -> None:
+    maps = made()
+    assert "nobody has signed it: 'lfield sign' does" in refused(lfield, *maps)
+    # Who may only operate signs nothing, and what they build does not run either.
+    mine = lfield.keys.made("person", "olga", Right.OPERATE)
+    lfield.keys.put("me", mine)
+    assert here("sign", "mission.lfm").status == 65
+    built = lfield("up", "--deploy", "mission.dL", "--host", "alpha", *maps)
+    assert lfield.status(built) == 65
+    assert "nobody has signed it" in built.said
+    # Nor does what is signed by somebody of another team.
+    foreign = Keyring(tmp_path / "foreign")
+    foreign.sign(lfield.folder / "mission.lfm")
+    assert "is not of this authority" in refused(lfield, *maps)
+
+
+def test_a_bit_that_was_changed_after_signing_is_seen(lfield, here, made) -> None:
+    maps = made()
+    assert here("sign", "mission.lfm").status == 0
+    path = lfield.folder / "mission.lfm"
+    data = bytearray(path.read_bytes())
+    for place in (60, len(data) // 2, len(data) - 1):
+        changed = bytearray(data)
+        changed[place] ^= 1
+        path.write_bytes(changed)
+        assert re.search("not a sound bundle|does not run here", refused(lfield, *maps))
+
+
+def test_all_hosts_of_one_command_need_no_signature(lfield, here, made) -> None:
+    made("?stays")
+    team = lfield.start("up", "mission.lfm", "--all")
+    team.wait_for(r"\| here$")
+    shown = " ".join(line.strip() for line in here("ps", "mission.lfm").out[-2:])
+    assert re.search("bundle .{12}, signed by whoever started it .*: alpha, bravo$", shown)

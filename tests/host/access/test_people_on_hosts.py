@@ -1,0 +1,90 @@
+"""Persons on real hosts: a mission leaves them less than their certificates say, and always the stop."""
+
+from __future__ import annotations
+
+import time
+
+import pytest
+
+from lfield.authority.admission import Judged
+from lfield.authority.believed import BelievedTime
+from lfield.authority.identity import ALL, NONE, Identity
+from lfield.clock import SystemClock
+from lfield.errors import GreetingError
+from lfield.operator.ask import STATUS, ask, emergency_stop, pause
+from lfield.simulate import network
+from lfield.testing.keys import Keyring
+from lfield.wire.observing import EmergencyStopped
+
+PROGRAM = """
+resource Echo { init(string[] arg) { } portal say() { sleep(1.0); } }
+coordinator Caller { init(string[] arg) { while (true) findEcho("echo").say(); } }
+"""
+ALONE = "//Caller:tom@alpha\n//Echo:echo@alpha\n"
+PEOPLE = """\
+people:
+  anna: [observe, stop]
+  bob: []
+"""
+
+
+@pytest.fixture
+def named(monkeypatch, tmp_path):
+    """`named()`: what judges whoever calls, by who is at the machine of that name."""
+
+    def at(address: str) -> Identity:
+        name, now = address.partition(":")[0], time.time()
+        kind, may = ("host", NONE) if name == "alpha" else ("person", ALL)
+        return Identity(kind, name, may, name, now - 1000.0, now + 1000.0, "ours")
+
+    monkeypatch.setattr(network, "resident", at)
+
+    def admission() -> Judged:
+        return Judged(Keyring(tmp_path).made("host", "alpha"), at("alpha"), BelievedTime(SystemClock()))
+
+    return admission
+
+
+async def up(team, named, access):
+    mission = team.mission(PROGRAM, ALONE, access=access)
+    (alpha,) = await team.up(mission, "alpha", admission=named())
+    return alpha
+
+
+async def asked(team, who, request):
+    return await ask(team.network.transport(who), "alpha:8181", request)
+
+
+def test_who_is_left_less_hears_by_which_line_and_may_stop_all_the_same(fleet, named):
+    async def story(team):
+        alpha = await up(team, named, PEOPLE)
+        assert (await asked(team, "anna", STATUS)).host == "alpha"
+        told = "anna may not operate in this mission: mission.access.yaml:2 gives anna observe, stop"
+        with pytest.raises(GreetingError, match=told):
+            await asked(team, "anna", pause(lift=True))
+        with pytest.raises(
+            GreetingError, match=r"bob may not observe in this mission: .*:3 gives bob nothing"
+        ):
+            await asked(team, "bob", STATUS)
+        assert isinstance(await asked(team, "bob", emergency_stop("fog")), EmergencyStopped)
+        assert "fog" in alpha.log
+
+    fleet(story)
+
+
+def test_without_a_line_a_person_has_what_the_certificate_says(fleet, named):
+    async def story(team):
+        await up(team, named, PEOPLE)
+        await asked(team, "carl", pause())
+        await asked(team, "carl", pause(lift=True))
+
+    fleet(story)
+
+
+def test_others_are_whoever_has_no_line(fleet, named):
+    async def story(team):
+        await up(team, named, PEOPLE + "  others: [stop]\n")
+        with pytest.raises(GreetingError, match=r"carl may not operate .*:4 gives others stop"):
+            await asked(team, "carl", emergency_stop("", lift=True))
+
+    fleet(story)

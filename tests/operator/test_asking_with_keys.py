@@ -1,0 +1,128 @@
+"""Commands over a network: with keys, without, with those of somebody who may not, and past what is wrong."""
+
+from __future__ import annotations
+
+import asyncio
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from lfield.authority.identity import Right
+from lfield.authority.reading import revoked_in
+from lfield.errors import GreetingError, KeysError
+from lfield.net.greeting import Greeting
+from lfield.net.tcp import TcpTransport
+from lfield.net.tls import Tls
+from lfield.operator import ask
+from lfield.operator.addressed import Party, Place
+from lfield.testing.keys import Keyring
+from lfield.wire.messages import Hello, Revocations
+from lfield.wire.observing import EmergencyStopped, Status, StatusRequest
+
+STATUS = Status("alpha", "", 0.0, b"", b"", [], [], [], [], [])
+
+
+class Alpha:
+    """A host that answers, and keeps what it has heard; each link has a greeting."""
+
+    def __init__(self, name: str = "alpha") -> None:
+        self.name, self.heard = name, []
+        self._greetings: dict[object, Greeting] = {}
+
+    def called(self, link):
+        return self
+
+    def on_message(self, link, message):
+        try:
+            self._heard(link, message)
+        except GreetingError:
+            link.send(self._greetings[link].refusal)
+            raise
+
+    def _heard(self, link, message):
+        if link not in self._greetings:
+            greeting = self._greetings[link] = Greeting(Hello("host", self.name, 7), link.who)
+            link.send(greeting.begin())
+            link.greeted(greeting.receive(message).role)
+            return
+        self._greetings[link].admit(message)
+        self.heard.append((str(link.who), message))
+        if not isinstance(message, Revocations):
+            link.send(STATUS if isinstance(message, StatusRequest) else EmergencyStopped({}))
+
+    def on_closed(self, link, error):
+        pass
+
+
+@pytest.fixture
+def ring(tmp_path):
+    made = Keyring(tmp_path / "keys")
+    made.give("alpha", "bravo")
+    return made
+
+
+def asked(
+    ring: Keyring, request=ask.STATUS, keys: Path | None = None, host: Alpha | None = None, own="alpha"
+):
+    """What asking a host over TCP, and one at a door, comes to."""
+    from lfield.authority import folder
+
+    host = host or Alpha()
+
+    async def story():
+        transport = TcpTransport(1 << 20, Tls(folder.read(ring.folder / own, "host")))
+        door = f"unix:{ring.folder}/door"
+        listeners = [await transport.listen(at, host.called) for at in ("127.0.0.1:0", door)]
+        party = Party((), {"alpha": listeners[0].address, "here": door})
+        answers = await asyncio.to_thread(ask.ask_parties, [party], request, keys)
+        for listener in listeners:
+            listener.close()
+        await asyncio.sleep(0)
+        return answers[Place("", "alpha")], answers[Place("", "here")]
+
+    return asyncio.run(story())
+
+
+def test_with_keys_a_host_of_another_computer_answers(ring):
+    host = Alpha()
+    assert asked(ring, keys=ring.folder, host=host)[0] == STATUS
+    assert ("operator", StatusRequest()) in host.heard
+
+
+def test_without_keys_it_says_so_and_what_to_do(ring, monkeypatch, tmp_path):
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "nothing"))
+    monkeypatch.delenv("LFIELD_KEYS", raising=False)
+    over_tcp, _ = asked(ring)
+    assert isinstance(over_tcp, KeysError)
+    assert "takes commands from those alone who have keys: 'lfield keys person' makes them" in str(over_tcp)
+
+
+def test_keys_that_are_not_there_keep_no_stop_from_this_computer(ring):
+    over_tcp, here = asked(ring, ask.emergency_stop("fire"), keys=ring.folder / "nowhere")
+    assert "has no keys of a person" in str(over_tcp)
+    assert here == EmergencyStopped({})
+    ring.put("me", replace(ring.made("person", "anna"), key=b"nothing"))
+    assert "the keys are damaged" in str(asked(ring, keys=ring.folder)[0])
+
+
+def test_whoever_may_only_look_is_told_what_it_takes_to_stop(ring):
+    ring.put("me", ring.made("person", "anna", Right.OBSERVE))
+    assert asked(ring, keys=ring.folder)[0] == STATUS
+    over_tcp, _ = asked(ring, ask.emergency_stop("fire"), keys=ring.folder)
+    assert "anna may observe, and this takes the right to stop" in str(over_tcp)
+
+
+def test_a_host_that_has_the_keys_of_another_gets_no_command(ring):
+    over_tcp, _ = asked(ring, keys=ring.folder, own="bravo")
+    assert "host bravo calls itself alpha" in str(over_tcp)
+    over_tcp, _ = asked(ring, keys=ring.folder, own="bravo", host=Alpha("bravo"))
+    assert "bravo answered at the address of alpha" in str(over_tcp)
+
+
+def test_a_command_brings_the_revocation_list_along(ring):
+    ring.put("me", replace(ring.made("person", "anna", Right.OBSERVE), revoked=ring.listed(3, "ff")))
+    host = Alpha()
+    asked(ring, keys=ring.folder, host=host)
+    (brought,) = [said for who, said in host.heard if isinstance(said, Revocations) and who == "anna"]
+    assert revoked_in(brought.list, ring.made("host", "x").authority).number == 3
