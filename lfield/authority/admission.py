@@ -105,7 +105,7 @@ class Judged(Admission):
     def newer(self, data: bytes) -> bool:
         if data == self.list:
             return False
-        # It is seldom read, and cryptography is large.
+        # Large, and of no use to whoever has no keys.
         from lfield.authority.reading import revoked_in
 
         read = revoked_in(data, self._authority)

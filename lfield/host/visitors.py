@@ -88,11 +88,11 @@ class Visitors:
 
     async def _emergency_stop(self, message: EmergencyStop, link: Link) -> None:
         if message.lift:
-            self._note("the emergency stop is lifted; programs may release their devices")
+            self._note(f"the emergency stop is lifted by {link.who}; programs may release their devices")
             devices = self._guards.lift_stop()
             self._enter(lambda: self._core.stop(""))
         else:
-            self._note(f"EMERGENCY STOP: {message.reason}")
+            self._note(f"EMERGENCY STOP by {link.who}: {message.reason}")
             # The devices first: they wait neither for the core nor for the disk.
             self._guards.bar(message.reason)
             self._enter(lambda: self._core.stop(message.reason))

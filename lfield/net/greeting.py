@@ -94,7 +94,8 @@ class Greeting:
         if self.peer is None:
             raise WireError(f"a {type(message).__name__} came before the greeting")
         if self.peer.role == "observer" and (why := lacks(self.who, self._verdict, message)):
-            self._refuse(why)
+            self.refusal = Refuse(why)
+            raise GreetingError(why)
 
     def _check_identity(self, hello: Hello) -> None:
         """What somebody calls itself is no more than what it has proven."""

@@ -81,10 +81,9 @@ class Bundles:
 
 def sealed(data: bytes, keys: Keys, at: float) -> bytes:
     """A signature as `authority.signature` makes it, by whoever has keys: also by those who may not."""
-    certificate, second = der_of(keys.certificate), int(at)
-    text = PURPOSE + bundle.contents(data).digest + struct.pack("<Q", second)
-    text += hashlib.sha256(certificate).digest()
-    return msgspec.msgpack.encode([certificate, second, private_in(keys.key).sign(text)])
+    second = int(at)
+    signed = private_in(keys.key).sign(PURPOSE + bundle.contents(data).digest + struct.pack("<Q", second))
+    return msgspec.msgpack.encode([der_of(keys.certificate), second, signed])
 
 
 def resealed(data: bytes, part: str) -> bytes:

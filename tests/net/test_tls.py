@@ -1,11 +1,14 @@
 """TLS of one link without any socket: who is proven, who is not, and what both are told."""
 
 import ssl
+from contextlib import suppress
 from dataclasses import replace
 
 import pytest
 from certificates import Shown, Team, made
 from cryptography.hazmat.primitives import serialization
+from hypothesis import given
+from hypothesis import strategies as st
 
 from lfield.authority.identity import ALL, STRANGER, Right, uri_of
 from lfield.authority.making import certificate_in, private_in
@@ -14,6 +17,7 @@ from lfield.net.tls import MAX_HANDSHAKE, Channel, Tls
 
 TEAM, OTHER = Team(), Team()
 ALPHA, BRAVO = TEAM.host("alpha"), TEAM.host("bravo")
+CALLING, CALLED = Tls(ALPHA), Tls(BRAVO)
 
 
 class Ends:
@@ -170,6 +174,37 @@ def test_a_stranger_can_make_nobody_hold_more_than_a_handshake():
     with pytest.raises(WireError):
         fed.extend(list(channel.feed(record)) or record for record in records)
     assert sum(map(len, fed)) <= MAX_HANDSHAKE
+
+
+@given(st.lists(st.binary(max_size=300), max_size=20), st.booleans())
+def test_whatever_a_stranger_sends_is_a_sentence_and_no_word_of_ours(pieces, greets):
+    """Behind a first word that is good, or the first byte of one."""
+    channel = CALLED.channel(calls=False)
+    first = CALLING.channel(calls=True).take() if greets else b"\x16"
+    with suppress(WireError, GreetingError):
+        for piece in (first, *pieces):
+            assert list(channel.feed(piece)) == []
+    assert not channel.proven
+    assert channel.who == STRANGER
+
+
+#: Of the last word of whoever calls: a record that means nothing, for old boxes on the way.
+CHANGE_CIPHER = bytes.fromhex("140303000101")
+
+
+@given(st.data())
+def test_a_handshake_with_one_bit_bent_proves_nobody(data):
+    near, far = CALLING.channel(calls=True), CALLED.channel(calls=False)
+    list(far.feed(near.take()))
+    list(near.feed(far.take()))
+    last = bytearray(near.take())
+    assert near.proven
+    begin = 8 * len(CHANGE_CIPHER) if last.startswith(CHANGE_CIPHER) else 0
+    bit = data.draw(st.integers(begin, 8 * len(last) - 1))
+    last[bit // 8] ^= 1 << bit % 8
+    with suppress(WireError, GreetingError):
+        assert list(far.feed(bytes(last))) == []
+    assert not far.proven
 
 
 def test_a_bit_that_flips_on_the_way_is_seen():

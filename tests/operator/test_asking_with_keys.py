@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from lfield.authority import folder
 from lfield.authority.identity import Right
 from lfield.authority.reading import revoked_in
 from lfield.errors import GreetingError, KeysError
@@ -20,6 +21,7 @@ from lfield.testing.keys import Keyring
 from lfield.wire.messages import Hello, Revocations
 from lfield.wire.observing import EmergencyStopped, Status, StatusRequest
 
+LIFT = ask.emergency_stop("", lift=True)
 STATUS = Status("alpha", "", 0.0, b"", b"", [], [], [], [], [])
 
 
@@ -27,7 +29,8 @@ class Alpha:
     """A host that answers, and keeps what it has heard; each link has a greeting."""
 
     def __init__(self, name: str = "alpha") -> None:
-        self.name, self.heard = name, []
+        self.heard: list[tuple[str, object]] = []
+        self.hello = Hello("host", name, 7)
         self._greetings: dict[object, Greeting] = {}
 
     def called(self, link):
@@ -42,7 +45,7 @@ class Alpha:
 
     def _heard(self, link, message):
         if link not in self._greetings:
-            greeting = self._greetings[link] = Greeting(Hello("host", self.name, 7), link.who)
+            greeting = self._greetings[link] = Greeting(self.hello, link.who)
             link.send(greeting.begin())
             link.greeted(greeting.receive(message).role)
             return
@@ -66,8 +69,6 @@ def asked(
     ring: Keyring, request=ask.STATUS, keys: Path | None = None, host: Alpha | None = None, own="alpha"
 ):
     """What asking a host over TCP, and one at a door, comes to."""
-    from lfield.authority import folder
-
     host = host or Alpha()
 
     async def story():
@@ -118,6 +119,25 @@ def test_a_host_that_has_the_keys_of_another_gets_no_command(ring):
     assert "host bravo calls itself alpha" in str(over_tcp)
     over_tcp, _ = asked(ring, keys=ring.folder, own="bravo", host=Alpha("bravo"))
     assert "bravo answered at the address of alpha" in str(over_tcp)
+
+
+def test_a_host_may_stop_one_of_another_bundle_of_its_authority(ring):
+    """Whoever stops names no bundle; that they do not link is for the greeting of hosts."""
+    host = Alpha()
+    host.hello = Hello("host", "alpha", 7, b"p" * 32, b"d" * 32)
+
+    async def story():
+        transport = TcpTransport(1 << 20, Tls(folder.read(ring.folder / "alpha", "host")))
+        listener = await transport.listen("127.0.0.1:0", host.called)
+        bravo = ask.observer(folder.read(ring.folder / "bravo", "host"))
+        places = {"alpha": listener.address}
+        answers = [await ask.ask_all(bravo, places, what) for what in (ask.emergency_stop("fire"), LIFT)]
+        listener.close()
+        return [answer["alpha"] for answer in answers]
+
+    stopped, lifted = asyncio.run(story())
+    assert stopped == EmergencyStopped({})
+    assert "a person has it, not a host" in str(lifted)
 
 
 def test_a_command_brings_the_revocation_list_along(ring):

@@ -6,6 +6,7 @@ hosts does not begin.
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Collection, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -21,6 +22,7 @@ from lfield.authority.keys import Keys
 from lfield.clock import Clock
 from lfield.errors import KeysError, OutputFileError, UsageError
 from lfield.journal.pages import BundlePage, Page
+from lfield.loop import spawn
 from lfield.mission.access.release import FROM_FILES, Release, Taken, taken
 from lfield.mission.mission import Mission
 from lfield.net.tls import Tls
@@ -68,7 +70,7 @@ def admitted(proof: Proof, host: str, clock: Clock, times: Collection[float]) ->
     time = BelievedTime(clock, max((at for at in times if at < own.ends), default=0.0))
     admission = Judged(proof.keys, own, time, revoked, data)
     _insist_on_good(own, revoked, time.now(), proof.lasts)
-    admission.keep = partial(_keep, proof.folders)
+    admission.keep = partial(_keep_aside, proof.folders)
     return tls, admission
 
 
@@ -104,17 +106,22 @@ def _insist_on_good(own: Identity, revoked: Revoked, now: float, lasts: float) -
 
 def _newest(proof: Proof) -> tuple[Revoked, bytes]:
     """The revocation list with the highest number, of those that are kept."""
+    # Large, and loaded before anything moves: a list may come in flight, and nothing must stand still for it.
+    from lfield.authority.reading import revoked_in
+
     lists = [proof.keys.revoked, *(folder.read_list(place) for place in proof.folders)]
     if not any(lists):
         return NOBODY, b""
-    # It is seldom there, and cryptography is large.
-    from lfield.authority.reading import revoked_in
-
     read = [(revoked_in(data, proof.keys.authority), data) for data in lists if data]
     return max(read, key=lambda found: found[0].number)
 
 
-def _keep(folders: Sequence[Path], data: bytes) -> None:
+def _keep_aside(folders: Sequence[Path], data: bytes) -> None:
+    """A disk may take its time, and the host has none."""
+    spawn(asyncio.to_thread(keep_list, folders, data))
+
+
+def keep_list(folders: Sequence[Path], data: bytes) -> None:
     """Keep a list for the next life; who has keys of a service may not write to their folder."""
     for place in folders:
         with suppress(OutputFileError):

@@ -102,7 +102,7 @@ def test_whoever_presses_it_may_go_away_before_the_answer(lfield, team, alone):
     silenced = lfield("sim", "fault", "wing.fc", "silence=true", env=alone)
     assert lfield.status(silenced) == 0, silenced.said
     pressed = lfield.start("estop", *team.words, "--reason", "and away")
-    team.hosts["bravo"].wait_for("EMERGENCY STOP: .*and away")
+    team.hosts["bravo"].wait_for("EMERGENCY STOP by operator: .*and away")
     pressed.popen.kill()
     pressed.popen.wait()
     again = lfield("estop", *team.words, "--no-wait")

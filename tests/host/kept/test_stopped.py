@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from lfield.authority.identity import ALL, Identity
 from lfield.journal.pages import Stopped
 from lfield.mission.load import load_mission
 from lfield.simulate.fleet import Fleet
@@ -38,7 +39,7 @@ class Person:
     """Presses and lifts the stop of the host of a fleet; `kept` is what was on the disk at each answer."""
 
     def __init__(self, fleet: Fleet) -> None:
-        self._fleet = fleet
+        self._fleet, self.who = fleet, Identity("person", "anna", ALL)
         self.answers: list[EmergencyStopped] = []
         self.kept: list[str] = []
 

@@ -1,0 +1,119 @@
+"""With what a host proves who it is: which keys it takes, what time it believes, where it keeps a list."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+from functools import partial
+
+import pytest
+
+from lfield.authority import folder
+from lfield.authority.admission import Judged
+from lfield.clock import ManualClock
+from lfield.errors import KeysError, UsageError
+from lfield.host.process.proving import Proof, admitted, insist_on_keys, keep_list
+from lfield.net.tls import Tls
+from lfield.testing.keys import LASTS, Keyring
+
+DAY = 86400.0
+
+
+@pytest.fixture
+def ring(tmp_path):
+    return Keyring(tmp_path / "keys")
+
+
+def now(at: float = 0.0) -> ManualClock:
+    """A clock that says it is so many seconds from now."""
+    return ManualClock(time.time() + at)
+
+
+def judged(proof: Proof, clock: ManualClock | None = None, times=()) -> Judged:
+    _, admission = admitted(proof, "alpha", clock or now(), times)
+    assert isinstance(admission, Judged)
+    return admission
+
+
+def test_good_keys_are_taken(ring):
+    keys = ring.made("host", "alpha")
+    tls, admission = admitted(Proof(keys), "alpha", now(), ())
+    assert str(tls.own()) == "host alpha"
+    assert (admission.number, admission.list, admission.line()) == (0, b"", "")
+
+
+def test_keys_of_somebody_else_are_not(ring):
+    for keys, sentence in (
+        (ring.made("host", "bravo"), "these are the keys of host bravo, not of host alpha"),
+        (ring.made("person", "alpha"), "these keys are no good for a host"),
+        (replace(ring.made("host", "alpha"), key=ring.made("host", "bravo").key), "do not belong together"),
+    ):
+        with pytest.raises(KeysError, match=sentence):
+            admitted(Proof(keys), "alpha", now(), ())
+
+
+def test_keys_that_end_before_the_mission_does_are_not(ring):
+    keys = ring.made("host", "alpha", lasts=3600.0)
+    judged(Proof(keys, lasts=3000.0))
+    with pytest.raises(KeysError, match=r"and the mission may last 4000 s from .*say with --lasts"):
+        judged(Proof(keys, lasts=4000.0))
+    with pytest.raises(KeysError, match="renew it with 'lfield keys renew host alpha'"):
+        judged(Proof(keys), now(3601.0))
+
+
+def test_a_clock_before_the_certificate_is_not_believed(ring):
+    admission = judged(Proof(ring.made("host", "alpha"), lasts=LASTS - 3600.0), ManualClock(0.0))
+    assert abs(admission.time.now() - time.time()) < 5.0
+    assert "since the certificate of host alpha began then; set the clock" in admission.line()
+
+
+def test_what_the_journal_kept_counts_unless_it_is_after_the_keys_have_ended(ring):
+    proof = Proof(ring.made("host", "alpha"))
+    later = time.time() + DAY
+    admission = judged(proof, times=(5.0, later, later + 10 * LASTS))
+    assert abs(admission.time.now() - later) < 5.0
+    assert "it was so late already when this host ran before" in admission.line()
+
+
+def test_the_newest_list_counts_wherever_it_is_and_a_new_one_is_kept(ring, tmp_path):
+    keys, kept = ring.made("host", "alpha"), tmp_path / "kept"
+    keys = replace(keys, revoked=ring.listed(2, "ff"))
+    own = tmp_path / "own"
+    folder.write(own, keys)
+    folder.write_list(kept, ring.listed(5, "fe"))
+    admission = judged(Proof(keys, (own, kept)))
+    admission.keep = partial(keep_list, (own, kept))
+    assert (admission.number, admission.revoked.serials) == (5, frozenset({"fe"}))
+    assert admission.newer(ring.listed(6, "fd"))
+    assert judged(Proof(folder.read(own, "host"))).number == 6
+    assert not admission.newer(ring.listed(6, "fc")), "a list of the same number is no newer one"
+
+
+def test_where_the_keys_are_of_a_service_a_list_is_kept_elsewhere(ring, tmp_path):
+    keys, kept = ring.made("host", "alpha"), tmp_path / "kept"
+    unwritable = tmp_path / "file"
+    unwritable.write_text("no folder can be made here")
+    admission = judged(Proof(keys, (kept,)))
+    admission.keep = partial(keep_list, (unwritable / "keys", kept))
+    assert admission.newer(ring.listed(1, "ff"))
+    assert folder.read_list(kept) == admission.list
+
+
+def test_a_revoked_host_does_not_begin(ring):
+    keys = ring.made("host", "alpha")
+    with pytest.raises(
+        KeysError, match=r"are revoked \(list 3\): make new ones with 'lfield keys host alpha'"
+    ):
+        judged(Proof(replace(keys, revoked=ring.listed(3, Tls(keys).own().serial))))
+
+
+def test_a_list_of_another_authority_is_no_list(ring):
+    other = Keyring(ring.folder).listed(9, "ff")
+    with pytest.raises(KeysError, match="the revocation list is not signed by this authority"):
+        judged(Proof(replace(ring.made("host", "alpha"), revoked=other)))
+
+
+def test_only_a_host_that_is_alone_needs_no_keys():
+    insist_on_keys("alpha", ["alpha"])
+    with pytest.raises(UsageError, match="alpha has no keys, and no host listens on a network without"):
+        insist_on_keys("alpha", ["alpha", "bravo"])
