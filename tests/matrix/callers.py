@@ -20,6 +20,7 @@ from lfield.authority.identity import Right, uri_of
 from lfield.authority.keys import Keys
 from lfield.authority.reading import revoked_in
 from lfield.clock import ManualClock
+from lfield.mission.access.rules import Access, Person
 from lfield.net.door import ROOT, local
 from lfield.net.peers import Peers
 from lfield.net.tcp import TcpTransport
@@ -55,6 +56,8 @@ SAID_BY_COMMANDS: dict[str, Message] = {
     "forget": Forget("tom"),
     "recover": Recover("tom", 1, 2, 3),
 }
+#: What the mission says of persons.
+RULES = Access("mission.access.yaml", (Person("maria", (Right.OBSERVE,), 2), Person("nina", (), 3)))
 #: A member of the group lfield, and whoever is in no group of ours: numbers of users and groups.
 GROUP, USER, OWNER, OTHER = 900, 1001, 1000, 1002
 
@@ -157,6 +160,8 @@ class Network:
             "operator": Caller(person("anna", Right.OBSERVE, Right.STOP, Right.OPERATE)),
             "commander": Caller(person("anna", Right.COMMAND)),
             "everything": Caller(person("anna", *Right)),
+            "narrowed": Caller(person("maria", *Right)),
+            "left": Caller(person("nina", *Right)),
             "person_ended": Caller(person("anna", *Right, end=ended)),
             "person_revoked": Caller(self._revoked[1]),
             "person_foreign": Caller(self.other.person("anna", *Right)),
@@ -186,6 +191,7 @@ class Network:
         noted, clock, tls = Noted(), ManualClock(NOW), Tls(self.alpha)
         revoked = revoked_in(self.list, self.team.authority.certificate)
         admission = Judged(self.alpha, tls.own(), BelievedTime(clock), revoked, self.list)
+        admission.barred = RULES.barred
         transport, dice = TcpTransport(1 << 16, tls), random.Random(1)
         peers = Peers(noted, transport, clock, dice, HOSTS, ADDRESSES, 0, (), admission)
         address = await peers.open("127.0.0.1:0")

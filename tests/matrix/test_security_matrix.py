@@ -9,6 +9,7 @@ from __future__ import annotations
 import pytest
 from bundles_shown import Bundles
 from callers import Network
+from key_folders import Folders
 from security_table import PAGE, Cell, cells, page, ways
 
 
@@ -20,6 +21,11 @@ def network():
 @pytest.fixture(scope="module")
 def bundles(tmp_path_factory):
     return Bundles(tmp_path_factory.mktemp("bundles"))
+
+
+@pytest.fixture(scope="module")
+def folders(tmp_path_factory):
+    return Folders(tmp_path_factory.mktemp("keys"))
 
 
 def of(way):
@@ -41,6 +47,11 @@ def test_over_the_network(network, cell):
 @pytest.mark.parametrize("cell", of("door"))
 def test_at_the_door(network, cell, monkeypatch, tmp_path):
     is_as_told(cell, network.tried_at_the_door(cell.who, cell.what, monkeypatch, tmp_path))
+
+
+@pytest.mark.parametrize("cell", of("keys"))
+def test_with_keys(folders, cell):
+    is_as_told(cell, folders.tried(cell.who, cell.what))
 
 
 @pytest.mark.parametrize("cell", of("bundle"))
