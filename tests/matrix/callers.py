@@ -160,6 +160,7 @@ class Network:
             "operator": Caller(person("anna", Right.OBSERVE, Right.STOP, Right.OPERATE)),
             "commander": Caller(person("anna", Right.COMMAND)),
             "everything": Caller(person("anna", *Right)),
+            "namesake": Caller(person("bravo", *Right)),
             "narrowed": Caller(person("maria", *Right)),
             "left": Caller(person("nina", *Right)),
             "person_ended": Caller(person("anna", *Right, end=ended)),
