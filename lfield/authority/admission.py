@@ -8,6 +8,7 @@ command of this computer, whom the kernel knows.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import TYPE_CHECKING
 
 from msgspec.structs import replace
@@ -72,7 +73,7 @@ class Judged(Admission):
         super().__init__()
         self._authority, self.own, self.time = keys.authority, own, time
         self.revoked, self.list, self.number = revoked, data, revoked.number
-        #: The certificates of hosts that have greeted in this mission, by number.
+        #: The certificates of those who have greeted in this mission, by number.
         self._greeted: set[str] = set()
         time.proven(own.begins, f"the certificate of {own}")
         time.proven(revoked.at, f"revocation list {revoked.number}")
@@ -82,25 +83,28 @@ class Judged(Admission):
         if who.authority == self.own.authority:
             # The authority writes no time that is yet to come.
             self.time.proven(who.begins, f"the certificate of {who}")
-        found = judged(
+        judge = partial(
+            judged,
             who,
             at=self.time.now(),
             authority=self.own.authority,
             revoked=self.revoked,
             known=known,
-            flies=self.flies(),
             expected=expected,
         )
+        # Every link is judged every second, and mostly it does not matter whether anything flies.
+        found = judge(flies=False)
+        if found.extent != "all" and known != "new":
+            found = judge(flies=self.flies())
         barred = self.barred(who)
         return Verdict(found.extent, found.why, barred) if barred else found
 
     def signed(self, hello: Hello) -> Hello:
-        return replace(hello, time=self.time.now(), revoked=self.number)
+        return replace(hello, time=self.time.to_say(), revoked=self.number)
 
     def greeted(self, who: Identity, hello: Hello) -> None:
         self.time.told(hello.time, who)
-        if who.kind == "host":
-            self._greeted.add(who.serial)
+        self._greeted.add(who.serial)
 
     def newer(self, data: bytes) -> bool:
         if data == self.list:

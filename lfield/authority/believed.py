@@ -4,16 +4,17 @@ A Raspberry Pi has no battery: it begins where it stopped, or long ago, until so
 clock that is behind takes certificates that have ended. So it is the latest of these:
 
 - **this computer's clock**;
-- **what was believed before**, from the journal;
+- **what it was when this host ran before**, from its journal;
 - **what the authority has signed**: it makes no certificate and no list that begins later on, so when one
   begins it was that time already. Therefore no certificate is "not yet valid" to whoever has seen it here;
 - **what the team says**: the time in the greeting of a peer, if it lies within that peer's own certificate. A
   peer that says more says that it has ended itself, and proves nothing.
 
 A time that is too late only ever refuses more, so nobody gets in by lying; a host of the team that lies can
-have others refused, up to the end of its own certificate, and `line` names it. What the team says is
-not kept: after a restart a computer hears it again from whomever it links with, and a lie does not outlive
-the liar's link. Time goes on from each of these by the clock that never goes back.
+have others refused, up to the end of its own certificate, and `line` names it. What the team says is neither
+kept nor passed on: after a restart a computer hears it again from whomever it links with, and a lie is gone
+with the liar, when two hosts would otherwise go on telling it to each other. Time goes on from each of these
+by the clock that never goes back.
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ NOTABLE = 60.0
 class BelievedTime:
     """The believed time of one host, in seconds since 1970 UTC.
 
-    `kept` is what `to_keep` gave before a restart, 0 where nothing is kept.
+    `kept` is the latest time that its journal knows of, 0 where there is none.
     """
 
     def __init__(self, clock: Clock, kept: float = 0.0) -> None:
@@ -53,13 +54,9 @@ class BelievedTime:
         if who.kind in ("host", "person") and who.begins <= at < who.ends:
             self._told = max(self._told, (at - self._clock.monotonic(), f"{who} says so"))
 
-    def to_keep(self, ends: float = math.inf) -> float:
-        """What to keep for after a restart, without the team's word.
-
-        Not later than the own certificate `ends`: a clock that was wrong for a moment must not bar the next
-        one, which is made when the right time is before that.
-        """
-        return min(max(self._clock.time(), self._clock.monotonic() + self._proven[0]), ends)
+    def to_say(self) -> float:
+        """What to tell the team in greetings: without what others have told."""
+        return max(self._clock.time(), self._clock.monotonic() + self._proven[0])
 
     def line(self) -> str:
         """What to tell when the clock is behind what is believed; '' when it is not."""

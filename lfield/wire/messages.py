@@ -62,9 +62,9 @@ class Hello(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
     `devices` says what those of its team are, '' where it has none.
     `max_block` is the largest block this host takes, in bytes. `recovery` says in words who decides that a
     coordinator is lost; '' where none is recovered. `origin` says in words where on the Earth its team counts
-    places from; '' where nowhere. `reservation` is how long one lasts unheard, in seconds. `time` is what the
-    sender believes it is, in seconds since 1970 UTC, and `revoked` the number of its revocation list; both 0
-    where nobody has keys.
+    places from; '' where nowhere. `reservation` is how long one lasts unheard, in seconds. `time` is what it
+    is as far as the sender knows without the others, in seconds since 1970 UTC, and `revoked` the number of
+    its revocation list; both 0 where nobody has keys.
     """
 
     role: Role

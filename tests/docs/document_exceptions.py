@@ -57,6 +57,12 @@ EXCEPTIONS: dict[str, dict[str, str]] = {
         'lfield setup mavlink --endpoint udp:127.0.0.1:14550 --set "waivers=[device_watchdog]"': SETUP,
         "lfield sim fault mavlink battery=0.2": KIT,
     },
+    "lfield/docs/security.md": {
+        "ssh alpha mkdir -p .config/lfield/keys": SERVICE,
+        "scp -rp ~/.config/lfield/authority/hosts/alpha alpha:.config/lfield/keys/": SERVICE,
+        "ssh alpha sudo cp -r .config/lfield/keys/alpha /etc/lfield/keys/": SERVICE,
+        "ssh alpha sudo chown -R lfield: /etc/lfield/keys/alpha": SERVICE,
+    },
     "deploy/README.md": {
         "sudo apt-get install python3 python3-venv git": INSTALLS,
         "sudo python3 -m venv /opt/lfield": INSTALLS,

@@ -56,7 +56,8 @@ def run(line: str, folder: Path) -> tuple[int | str, str]:
     path = f"{Path(sys.executable).parent}:{os.environ['PATH']}"
     with tempfile.TemporaryFile() as said:
         shell = subprocess.Popen(
-            ["bash", "-c", line], cwd=folder, env={**os.environ, "PATH": path, "HOME": str(folder)},
+            ["bash", "-c", line], cwd=folder, env={**os.environ, "PATH": path, "HOME": str(folder),
+                 "XDG_CONFIG_HOME": str(folder / ".config")},
             stdin=subprocess.DEVNULL, stdout=said, stderr=subprocess.STDOUT, start_new_session=True,
         )  # fmt: skip
         try:

@@ -89,7 +89,7 @@ def minted(hosts: Iterable[str], bundle: Release) -> Mapping[str, int]:
     """New keys for each of these hosts, known to nobody else: descriptors that a process can inherit.
 
     They are in memory only, and gone with the processes of the run. Whoever has such keys was started by this
-    user to run this bundle: that is in the descriptor too, so no host has to load what verifies signatures.
+    user to run this bundle: that is in the descriptor too, and says as much as a signature.
     """
     import time
 

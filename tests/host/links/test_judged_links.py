@@ -202,6 +202,24 @@ def test_a_revoked_person_may_nothing(fleet, judges):
     fleet(story)
 
 
+def test_a_person_who_was_known_and_whose_certificate_has_ended_may_stop_what_flies(fleet, judges):
+    async def story(team):
+        judges.ends("desk", 5.0)
+        alpha, _ = await both_up(team, judges, ENDLESS)
+        desk = team.network.transport("desk")
+        await ask(desk, "alpha:8181", STATUS)
+        await asyncio.sleep(30.0)
+        await ask(desk, "alpha:8181", STATUS)
+        with pytest.raises(GreetingError, match=r"ended .*; until then desk may only look and stop"):
+            await ask(desk, "alpha:8181", emergency_stop("", lift=True))
+        await ask(desk, "alpha:8181", emergency_stop("enough"))
+        with pytest.raises(GreetingError, match="the certificate of desk ended"):
+            await ask(desk, "alpha:8181", STATUS)
+        assert "EMERGENCY STOP by desk: enough" in alpha.log
+
+    fleet(story)
+
+
 def test_a_clock_that_stopped_years_ago_goes_by_what_the_authority_and_the_team_say(fleet, judges):
     async def story(team):
         mission = team.mission(PROGRAM, DONE)

@@ -1,0 +1,76 @@
+"""What `lfield doctor` says of the keys of a computer."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from lfield.authority import folder as folders
+from lfield.authority.keys import Keys
+from lfield.authority.ledger import Ledger, begin
+from lfield.operator.keys_health import health, keys_here
+
+AT, DAY = 1795464000.0, 86400.0
+
+
+@pytest.fixture
+def ledger(tmp_path: Path) -> Ledger:
+    return begin(tmp_path / "authority", AT, AT + 3650 * DAY)
+
+
+def told(folder: Path, at: float) -> tuple[str, str]:
+    """The state, and what comes behind the path."""
+    (finding,) = health(folder, at)
+    return finding.state, finding.what.removeprefix(f"keys {folder}: ")
+
+
+def test_ends_are_told_before_they_come(ledger: Ledger) -> None:
+    folder = ledger.make("host", "alpha", (), AT, AT + 90 * DAY).folder
+    assert told(folder, AT) == ("ok", "host alpha, until 2027-02-21 20:00 UTC")
+    assert told(folder, AT + 65.5 * DAY) == ("warning", "host alpha, end in 24 days, 2027-02-21 20:00 UTC")
+    assert told(folder, AT + 90 * DAY) == ("problem", "host alpha, ended 2027-02-21 20:00 UTC")
+    assert told(folder, 0.0) == ("warning", "host alpha, begin 2026-11-23 20:00 UTC")
+    (ended,) = health(folder, AT + 90 * DAY)
+    assert "lfield keys renew host alpha" in ended.cure
+
+
+def test_what_cannot_be_used_is_a_problem_with_its_reason(ledger: Ledger, tmp_path: Path) -> None:
+    alpha = ledger.make("host", "alpha", (), AT, AT + DAY)
+    bravo = ledger.make("host", "bravo", (), AT, AT + DAY)
+    ledger.revoke("host", "alpha", AT)
+    assert told(alpha.folder, AT) == ("problem", "host alpha, revoked")
+    own, others = (folders.read(made.folder, "host") for made in (bravo, alpha))
+    folders.write(bravo.folder, Keys("host", own.authority, own.certificate, others.key))
+    state, what = told(bravo.folder, AT)
+    assert (state, "is not that of the certificate of host bravo" in what) == ("problem", True)
+    assert told(tmp_path, AT) == ("problem", "there are none")
+
+
+def test_all_keys_of_this_computer_are_looked_at(ledger: Ledger, tmp_path: Path) -> None:
+    environment = {"XDG_CONFIG_HOME": str(tmp_path / "home")}
+    (nothing,) = keys_here(environment, AT, tmp_path / "none")
+    assert (nothing.state, nothing.what[:22]) == ("note", "there are no keys here")
+    made = ledger.make("person", "anna", (), AT, AT + 90 * DAY)
+    mine = tmp_path / "home" / "lfield" / "keys" / "me"
+    folders.write(mine, folders.read(made.folder, "person"))
+    (found,) = keys_here(environment, AT, tmp_path / "none")
+    assert (found.state, found.details[1]) == ("ok", "may nothing")
+
+
+@pytest.mark.process
+def test_who_only_judges_and_reads_keys_does_without_cryptography() -> None:
+    """It takes 10 MB and a moment, which an idle host does not have to spare."""
+    names = ("believed", "folder", "identity", "judge", "keys")
+    looked = f"""
+import importlib, sys
+for name in {names}:
+    importlib.import_module("lfield.authority." + name)
+print("cryptography" in sys.modules)
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", looked], capture_output=True, text=True, timeout=60, check=True
+    )
+    assert done.stdout == "False\n"
