@@ -87,12 +87,17 @@ def reach(devices: Sequence[DeviceBinding], driver: KnownDriver, code: Iterable[
             found = places(link)
             needs.take(link.strip().partition(":")[0], found[0] if found else None)
     files = [path for device in devices for path in _files(device, driver)]
-    own = [folder for folder in map(os.path.dirname, files) if os.access(folder, os.W_OK)]
+    own = [folder for folder in map(os.path.dirname, files) if _is_theirs(folder)]
     reads = (*SYSTEM, *sorted(set(code)), *files)
     if needs.unknown:
         return Reach(reads, tuple(needs.writes), ("/dev", scratch, *own), None, internet=True, runs=True)
     folders = (*sorted(set(needs.folders)), *own)
     return Reach(reads, tuple(needs.writes), folders, tuple(needs.ports), internet=needs.internet)
+
+
+def _is_theirs(folder: str) -> bool:
+    """Whether the folder of a file is the driver's to write into: this user may, and no keys are below it."""
+    return os.access(folder, os.W_OK) and not os.path.isdir(os.path.join(folder, "keys"))
 
 
 def _files(device: DeviceBinding, driver: KnownDriver) -> list[str]:

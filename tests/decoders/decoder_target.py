@@ -31,6 +31,8 @@ class Target:
     take: Callable[[bytes], None]
     packed: bool = False
     words: Sequence[object] = field(default=())
+    #: One that plays whole stories takes every so manieth input only.
+    share: int = 1
 
     @cached_property
     def good(self) -> Sequence[bytes]:

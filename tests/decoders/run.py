@@ -61,9 +61,11 @@ def all_of_them(options: argparse.Namespace) -> int:
     from decoder_targets import TARGETS
 
     names = options.only.split(",") if options.only else list(TARGETS)
-    broken, began = [], time.monotonic()
+    broken, began, total = [], time.monotonic(), 0
     for name in names:
-        words = ["--inside", name, "--count", str(options.count), "--seed", str(options.seed)]
+        count = max(1, options.count // TARGETS[name].share)
+        words = ["--inside", name, "--count", str(count), "--seed", str(options.seed)]
+        total += count
         if options.guided:
             crashed = hunt(name, words)
         else:
@@ -72,7 +74,7 @@ def all_of_them(options: argparse.Namespace) -> int:
             broken.append(name)
     took = time.monotonic() - began
     crashes = f"crashes in {', '.join(broken)}" if broken else "0 crashes"
-    told = f"{len(names)} decoders, {len(names) * options.count:,} inputs, seed {options.seed}"
+    told = f"{len(names)} decoders, {total:,} inputs, seed {options.seed}"
     print(f"{told}: {crashes} ({took:.0f} s)")
     return 1 if broken else 0
 

@@ -348,12 +348,12 @@ _SOCKETCAND = (b"< frame ", b" >", b"<", b">", b"< error ", b"1FFFFFFF", b"7ff",
 
 TARGETS = (
     Target("mavlink", _packets, take_mavlink, True),
-    Target("mavlink-lies", _lies, take_lying_vehicle),
+    Target("mavlink-lies", _lies, take_lying_vehicle, share=40),
     Target("dynamixel", _dynamixel_seeds, take_dynamixel, words=(b"\xff\xff\xfd\0", b"\xff\xff")),
-    Target("dynamixel-lies", _lies, take_lying_servo),
+    Target("dynamixel-lies", _lies, take_lying_servo, share=2),
     Target("socketcand", _socketcand_seeds, take_socketcand, words=_SOCKETCAND),
     Target("sdo", _sdo_seeds, take_sdo),
     Target("can-frames", _frame_seeds, take_can_frames),
-    Target("can-lies", _lies, take_lying_drive),
+    Target("can-lies", _lies, take_lying_drive, share=10),
     Target("serial", _serial_seeds, take_serial, words=(b"\xb5\x62", b"\n")),
 )

@@ -310,7 +310,7 @@ _OF_BINDINGS = (": ", "\n", "  ", "- ", "{", "}", "[", "]", "&a", "*a", "!!pytho
 _OF_BINDINGS += ("1e999", ".nan", "2001-01-01", "0x10", "'")
 
 TARGETS = (
-    Target("bundle", lambda: [pack(_parts())], take_bundle, True, _OF_BUNDLES),
+    Target("bundle", lambda: [pack(_parts())], take_bundle, True, _OF_BUNDLES, share=4),
     Target("bundle-file", lambda: [bundle.encode(mission())], take_bundle_bytes),
     Target("program", lambda: [pack(_program_parts())], take_program, True, (*range(60), "Bell", "ring")),
     Target("dump", lambda: [_a_dump()[12:]], take_dump, True),
@@ -319,5 +319,5 @@ TARGETS = (
     Target("question", lambda: _QUESTIONS, take_question, words=_OF_QUESTIONS),
     Target("deployment", lambda: [DEPLOYMENT.encode()], take_deployment, words=_OF_TEAMS),
     Target("program-text", lambda: [PROGRAM.encode()], take_program_text, words=_OF_PROGRAMS),
-    Target("bindings", lambda: [DEVICES.encode()], take_bindings, words=_OF_BINDINGS),
+    Target("bindings", lambda: [DEVICES.encode()], take_bindings, words=_OF_BINDINGS, share=5),
 )

@@ -88,6 +88,9 @@ def test_a_file_of_an_option_is_read_and_its_folder_written_where_this_user_may(
     assert str(tmp_path / "signing.key") in found.reads
     assert found.folders == (str(tmp_path),)
     assert needed("serial:/dev/ttyS0:57600", key="/no/such/folder/key").folders == ()
+    (tmp_path / "keys").mkdir()
+    found = needed("serial:/dev/ttyS0:57600", key=str(tmp_path / "signing.key"))
+    assert (found.reads[-1], found.folders) == (str(tmp_path / "signing.key"), ())
 
 
 TRIES = """
