@@ -283,10 +283,10 @@ def transfers() -> Sequence[tuple[Transfer, bytes]]:
 def messages() -> list[Any]:
     """A message of every type as its msgpack's tree, with something in every field."""
     types = Control.__args__  # type: ignore[attr-defined]
-    return [unpack(pack(_example(kind))) for kind in types]
+    return [unpack(pack(example(kind))) for kind in types]
 
 
-def _example(kind: type) -> Any:
+def example(kind: type) -> Any:
     """A struct with a plain value in every field."""
     return kind(*(_plain(f.type) for f in msgspec.inspect.type_info(kind).fields))
 
@@ -325,7 +325,7 @@ def _event_seeds() -> Sequence[bytes]:
     hello = [0, unpack(pack(greeting("bravo")))]
     header, block = transfers()[0]
     arrival = [2, [unpack(pack(header)), block]]
-    known = unpack(pack(_example(Known)))
+    known = unpack(pack(example(Known)))
     told = [[1, message] for message in messages()]
     quiet = [pack([event]) for event in told] + [pack([event, [4, 0.5], event]) for event in told]
     busy = [pack([arrival, event, [4, 11.0], hello]) for event in told]
@@ -338,7 +338,7 @@ def _stream_seeds() -> Sequence[bytes]:
     header, block = transfers()[0]
     hello = codec.encode(greeting("bravo"))
     transfer = codec.encode_transfer(header, block) + block
-    controls = [codec.encode(_example(kind)) for kind in Control.__args__]  # type: ignore[attr-defined]
+    controls = [codec.encode(example(kind)) for kind in Control.__args__]  # type: ignore[attr-defined]
     whole = [hello, hello + transfer, hello + controls[0] + transfer, b"".join((hello, *controls))]
     return [bytes([size]) + data for data in whole for size in (0, HEADER_SIZE, 250)]
 
