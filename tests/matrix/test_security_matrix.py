@@ -10,6 +10,7 @@ import pytest
 from bundles_shown import Bundles
 from callers import Network
 from key_folders import Folders
+from portal_rules import Portals
 from security_table import PAGE, Cell, cells, page, ways
 
 
@@ -26,6 +27,11 @@ def bundles(tmp_path_factory):
 @pytest.fixture(scope="module")
 def folders(tmp_path_factory):
     return Folders(tmp_path_factory.mktemp("keys"))
+
+
+@pytest.fixture(scope="module")
+def portals(tmp_path_factory):
+    return Portals(tmp_path_factory.mktemp("portals"))
 
 
 def of(way):
@@ -52,6 +58,11 @@ def test_at_the_door(network, cell, monkeypatch, tmp_path):
 @pytest.mark.parametrize("cell", of("keys"))
 def test_with_keys(folders, cell):
     is_as_told(cell, folders.tried(cell.who, cell.what))
+
+
+@pytest.mark.parametrize("cell", of("portals"))
+def test_from_a_coordinator(portals, cell):
+    is_as_told(cell, portals.tried(cell.who, cell.what))
 
 
 @pytest.mark.parametrize("cell", of("bundle"))
