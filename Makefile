@@ -7,7 +7,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: demo test test-more test-sitl simulate chaos fuzz bench lint locks clean
+.PHONY: demo test test-more test-sitl simulate chaos fuzz fuzz-decoders bench lint locks clean
 
 demo: $(VENV)/.installed
 	$(BIN)/lfield up --deploy examples/01-first-flight/mission.dL --all --sim --until-done
@@ -63,6 +63,10 @@ COUNT ?= 1000
 SEED ?= 1
 fuzz: $(VENV)/.tested
 	$(BIN)/python -m lfield.testing.fuzz --count $(COUNT) --seed $(SEED)
+
+# make fuzz-decoders COUNT=10000 SEED=1 [ONLY=bundle,block]      bytes that others may send, into all that reads them
+fuzz-decoders: $(VENV)/.tested
+	$(BIN)/python tests/decoders/run.py --count $(COUNT) --seed $(SEED) --only "$(ONLY)"
 
 # make bench ONLY=hop,local   those figures        make bench SAVE=rows.json   also writes the rows
 # make bench AGAINST=PATH     compared, round by round, with another checkout that has its own .venv

@@ -107,7 +107,7 @@ def identity_of(certificate: Mapping[str, Any]) -> Identity:
             ends=seconds_of(certificate["notAfter"]),
             authority=_common_name(certificate["issuer"]),
         )
-    except (KeyError, ValueError, TypeError):
+    except (KeyError, ValueError, TypeError, AttributeError):
         return STRANGER
 
 

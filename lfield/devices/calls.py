@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 from lfield.driver.binding import DeviceBinding
 from lfield.driver.values import conform
-from lfield.errors import DeviceError
+from lfield.errors import DeviceError, WireError
 from lfield.guard.messages import Call, Cancel
 from lfield.manifest import DeviceValue, Instruction
 
@@ -62,8 +62,8 @@ class Calls:
         return None
 
     def done(self, token: int, value: Any) -> None:
-        """It has been carried out."""
-        asked = self._asked.pop(token)
+        """It has been carried out. Raises WireError for a call that waits for no answer."""
+        asked = self._answered(token)
         try:
             asked.answered(conform(value, asked.instruction.result))
         except ValueError as error:
@@ -71,9 +71,15 @@ class Calls:
             asked.answered(DeviceError(asked.binding.field, reason))
 
     def refused(self, token: int, kind: str, reason: str) -> None:
-        """It has not; `kind` is the L exception that this becomes."""
-        asked = self._asked.pop(token)
+        """It has not; `kind` is the L exception that this becomes. Raises WireError as `done` does."""
+        asked = self._answered(token)
         asked.answered(DeviceError(asked.binding.field, reason, kind=kind))
+
+    def _answered(self, token: int) -> _Asked:
+        """The call of this token, which has its answer now. Raises WireError."""
+        if token not in self._asked:
+            raise WireError(f"an answer to call {token}, which waits for none")
+        return self._asked.pop(token)
 
     def lost(self, status: int | None) -> None:
         """The guard has ended: nobody will know what became of them."""

@@ -11,6 +11,7 @@ from collections.abc import Callable, Mapping
 from lfield.clock import Clock
 from lfield.devices.lateness import Pulse
 from lfield.driver.binding import DeviceBinding
+from lfield.errors import WireError
 from lfield.guard.messages import Latched, Moving, Released, Safe
 from lfield.guard.rest import UNSEEN
 
@@ -50,7 +51,9 @@ class Held:
         return self._states.get(device) or self._devices[device].safe_state
 
     def take(self, message: Latched | Moving | Released) -> None:
-        """The guard tells."""
+        """The guard tells. Raises WireError for a device that it does not guard."""
+        if message.device not in self._devices:
+            raise WireError(f"word of '{message.device}', which it does not guard")
         match message:
             case Latched():
                 self._latched(message)

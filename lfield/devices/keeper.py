@@ -342,6 +342,8 @@ class Guard(asyncio.SubprocessProtocol):
                 self.held.take(message)
             case Note(device, text):
                 self._note(f"{device}: {text}")
+            case Ready(identities) if not identities.keys() <= self._devices.keys():
+                raise WireError(f"devices that it does not guard: {', '.join(identities)}")
             case Ready(identities) if self._stopping or not self._opening.done():
                 self.identities, self._ready = identities, True
                 self._settled.set()

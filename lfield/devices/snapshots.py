@@ -10,7 +10,7 @@ from lfield.driver.binding import DeviceBinding
 from lfield.driver.contract import AGE
 from lfield.driver.known import KnownDriver
 from lfield.driver.values import conform
-from lfield.errors import DeviceError
+from lfield.errors import DeviceError, WireError
 from lfield.guard.messages import Snapshot
 from lfield.manifest import DeviceValue, Observation, Quantity
 from lfield.text.values import telemetry_in_words
@@ -46,14 +46,25 @@ class Snapshots:
         self.taken: set[str] = set()
 
     def take(self, snapshot: Snapshot) -> None:
-        """Take a snapshot in, and keep the readings up to date."""
+        """Take a snapshot in, and keep the readings up to date. Raises WireError for what none can have."""
+        if snapshot.device not in self._devices:
+            raise WireError(f"telemetry of '{snapshot.device}', which it does not guard")
         self.heard[snapshot.device] = snapshot.heard
         (self.taken.add if snapshot.taken else self.taken.discard)(snapshot.device)
         for name, seen in snapshot.values.items():
             key = snapshot.device, name
-            self._seen[key] = Observation(conform(seen.value, self._quantities[key].type), seen.when)
+            self._seen[key] = Observation(self._conform(key, seen.value), seen.when)
             if key in self._readings:
                 self._update(key)
+
+    def _conform(self, key: tuple[str, str], value: DeviceValue) -> DeviceValue:
+        """A value as its quantity has it. Raises WireError."""
+        if key not in self._quantities:
+            raise WireError(f"{key[0]} has no {key[1]}")
+        try:
+            return conform(value, self._quantities[key].type)
+        except ValueError as error:
+            raise WireError(f"{key[1]} of {key[0]}: {error}") from None
 
     def query(self, device: str, quantity: str) -> DeviceValue:
         """The last value of a telemetry quantity. Raises DeviceError when there is none or it is too old."""

@@ -28,6 +28,7 @@ from lfield.driver.known import Drivers
 from lfield.driver.plugin import load_plugin
 from lfield.driver.plugins import Plugins
 from lfield.errors import DevicesError
+from lfield.guard.confine import strength
 from lfield.vm.wasm.choice import has_wasm
 
 #: Serial ports that robots have: USB adapters, boards with native USB, the pins of a Raspberry Pi or Jetson.
@@ -61,6 +62,7 @@ def system(plugins: Plugins, root: Path = Path("/")) -> Iterator[Finding]:
     yield from _can(root)
     yield _clock()
     yield _promptness()
+    yield confinement()
 
 
 def engine() -> Finding:
@@ -157,6 +159,16 @@ def _promptness() -> Finding:
         "guards may not have real-time priority: on a busy computer their timers can be late",
         "LimitRTPRIO=1 in the service's unit, or '@dialout - rtprio 1' in /etc/security/limits.conf",
     )
+
+
+def confinement() -> Finding:
+    """What of this kernel keeps guards to their devices; see lfield.guard.confine."""
+    kept, missing = strength()
+    if not kept:
+        return Finding("note", f"guards have all rights of their user: {missing}")
+    if missing:
+        return Finding("note", f"guards are kept to their devices ({kept}); this kernel cannot for {missing}")
+    return Finding("ok", f"guards are kept to their devices ({kept})")
 
 
 async def lateness(silence: float, clock: Clock, *, bound: bool) -> Finding:

@@ -6,7 +6,7 @@ from typing import Literal
 
 from msgspec import Struct
 
-from lfield.wire.fields import Count, Hash, MaybeName, Name, Text
+from lfield.wire.fields import Count, Hash, MaybeName, Name, Ordinal, Text
 
 #: Where a host's copy of a coordinator stands; see `lfield/docs/mobility.md`. PARKED: it is kept for another
 #: program or deployment, and goes on when that is started.
@@ -33,9 +33,9 @@ class Known(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
     """
 
     agent: Name
-    generation: Count
-    sequence: Count
-    hops: Count
+    generation: Ordinal
+    sequence: Ordinal
+    hops: Ordinal
     state: CopyState
     where: MaybeName = ""
     outcome: Literal["", "done", "died", "lost", "superseded"] = ""
@@ -52,9 +52,9 @@ class Transfer(Struct, frozen=True, array_like=True, forbid_unknown_fields=True)
     """
 
     agent: Name
-    generation: Count
-    sequence: Count
-    hops: Count
+    generation: Ordinal
+    sequence: Ordinal
+    hops: Ordinal
     program: Hash
     receiver_memory: Count
     size: Count
@@ -64,8 +64,8 @@ class Accepted(Struct, frozen=True, array_like=True, forbid_unknown_fields=True,
     """The transfer was injected, or its coordinator is known to have gone on since."""
 
     agent: Name
-    generation: Count
-    sequence: Count
+    generation: Ordinal
+    sequence: Ordinal
 
 
 class Refused(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=2):
@@ -75,8 +75,8 @@ class Refused(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, 
     """
 
     agent: Name
-    generation: Count
-    sequence: Count
+    generation: Ordinal
+    sequence: Ordinal
     kind: Name
     reason: Text
 
@@ -85,8 +85,8 @@ class Inquire(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, 
     """What became of this transfer? Answered by Accepted or Refused."""
 
     agent: Name
-    generation: Count
-    sequence: Count
+    generation: Ordinal
+    sequence: Ordinal
     receiver_memory: Count
 
 
@@ -94,7 +94,7 @@ class Ended(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, ta
     """A coordinator has ended on `host`; repeated until every host has answered with EndedAck."""
 
     agent: Name
-    generation: Count
+    generation: Ordinal
     outcome: Outcome
     detail: Text
     host: Name
@@ -104,4 +104,4 @@ class EndedAck(Struct, frozen=True, array_like=True, forbid_unknown_fields=True,
     """The ending is known here."""
 
     agent: Name
-    generation: Count
+    generation: Ordinal

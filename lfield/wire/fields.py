@@ -34,6 +34,8 @@ Name = Annotated[str, Meta(min_length=1, max_length=MAX_NAME)]
 MaybeName = Annotated[str, Meta(max_length=MAX_NAME)]
 Text = Annotated[str, Meta(max_length=MAX_TEXT)]
 Count = Annotated[int, Meta(ge=0, le=2**63 - 1)]
+#: A number that whoever hears it counts on from: what comes next is still a Count.
+Ordinal = Annotated[int, Meta(ge=0, le=2**62)]
 Hash = Annotated[bytes, Meta(max_length=HASH_SIZE)]
 Index = Annotated[int, Meta(ge=0, le=2**16 - 1)]
 Label = Annotated[str, Meta(max_length=MAX_LABEL)]

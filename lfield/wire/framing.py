@@ -38,6 +38,17 @@ def frame(kind: int, payload: Buffer) -> bytes:
     return b"".join((_HEADER.pack(len(payload) + 1, kind), payload))
 
 
+def size_of(start: Buffer, longest: int) -> int:
+    """Bytes of the first frame of a stream, its header too: of the header alone while that is not whole.
+
+    For who reads one frame and no byte more; of a payload over `longest` no more than that.
+    """
+    if len(start) < HEADER_SIZE:
+        return HEADER_SIZE
+    length: int = _HEADER.unpack_from(start)[0]
+    return HEADER_SIZE + min(max(0, length - 1), longest)
+
+
 class FrameDecoder:
     """Cuts a stream of bytes, fed in pieces of any size, back into frames.
 

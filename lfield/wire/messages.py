@@ -26,6 +26,7 @@ from lfield.wire.fields import (
     MaybeName,
     Moment,
     Name,
+    Ordinal,
     Text,
     ToldBy,
 )
@@ -156,8 +157,8 @@ class Report(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, t
     """
 
     life: Count
-    since: Count
-    sequence: Count
+    since: Ordinal
+    sequence: Ordinal
     agents: Annotated[list[AgentReport], Meta(max_length=4096)]
 
 
@@ -166,7 +167,7 @@ class SignOfLife(Struct, frozen=True, array_like=True, forbid_unknown_fields=Tru
 
     host: Index
     incarnation: Count
-    count: Count
+    count: Ordinal
 
 
 class Heard(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=13):

@@ -19,6 +19,7 @@ from lfield.wire.fields import (
     MaybeName,
     Moment,
     Name,
+    Ordinal,
     Telemetry,
     Text,
     ToldBy,
@@ -36,7 +37,7 @@ class AgentStatus(Struct, frozen=True, array_like=True, forbid_unknown_fields=Tr
     type: Text
     kind: Literal["coordinator", "resource"]
     state: Label
-    hops: Count
+    hops: Ordinal
     served: Count
     heap: Count
     limit: Count
@@ -93,8 +94,8 @@ class ParkedStatus(Struct, frozen=True, array_like=True, forbid_unknown_fields=T
     """
 
     agent: Name
-    generation: Count
-    hops: Count
+    generation: Ordinal
+    hops: Ordinal
     program: Hash
     state: CopyState
     where: MaybeName
@@ -104,7 +105,7 @@ class BegunStatus(Struct, frozen=True, array_like=True, forbid_unknown_fields=Tr
     """A portal call that a coordinator has begun here and fetches later: it runs, has ended, or is lost."""
 
     agent: Name
-    generation: Count
+    generation: Ordinal
     resource: Name
     portal: Text
     state: Literal["running", "done", "thrown", "lost"]
@@ -116,7 +117,7 @@ class ReservedStatus(Struct, frozen=True, array_like=True, forbid_unknown_fields
 
     resource: Name
     agent: Name
-    generation: Count
+    generation: Ordinal
     held: Age
     left: Age
 
@@ -213,15 +214,15 @@ class Recover(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, 
     """
 
     agent: Name
-    generation: Count
-    sequence: Count
-    above: Count
+    generation: Ordinal
+    sequence: Ordinal
+    above: Ordinal
 
 
 class Recovered(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=18):
     """The answer: as which start it goes on, once that is kept; 0 when it does not, with the reason."""
 
-    generation: Count
+    generation: Ordinal
     reason: Text = ""
 
 

@@ -10,7 +10,7 @@ from typing import Annotated
 
 from msgspec import Meta, Struct
 
-from lfield.wire.fields import Age, Count, MaybeName, Name
+from lfield.wire.fields import Age, Count, MaybeName, Name, Ordinal
 
 #: The most coordinators of one host, or fences, that a message names.
 MOST = 4096
@@ -20,15 +20,15 @@ class Held(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
     """A coordinator that is alive on the sender: the start of it, and the number of its last transfer."""
 
     agent: Name
-    generation: Count
-    sequence: Count
+    generation: Ordinal
+    sequence: Ordinal
 
 
 class Barred(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
     """No start of this agent before `generation` may run any more."""
 
     agent: Name
-    generation: Count
+    generation: Ordinal
 
 
 class Place(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
@@ -37,8 +37,8 @@ class Place(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
     With `left` it was sent away under that number, and may have arrived; else it came under it.
     """
 
-    generation: Count
-    sequence: Count
+    generation: Ordinal
+    sequence: Ordinal
     left: bool
 
     @property
@@ -85,7 +85,7 @@ class Sought(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, t
     agent: Name
     place: Place | None
     holder: MaybeName = ""
-    generation: Count = 0
+    generation: Ordinal = 0
     age: Age = 0.0
 
 
@@ -93,15 +93,15 @@ class Propose(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, 
     """To a member: bar every start before `generation`, which is the sender's own."""
 
     agent: Name
-    generation: Count
+    generation: Ordinal
 
 
 class Promise(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=35):
     """The answer, once it is on disk. A `fence` beyond the proposed generation refuses it."""
 
     agent: Name
-    generation: Count
-    fence: Count
+    generation: Ordinal
+    fence: Ordinal
     place: Place | None
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from msgspec import Struct
 
-from lfield.wire.fields import Count, Name
+from lfield.wire.fields import Count, Name, Ordinal
 
 
 class Renew(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=20):
@@ -17,7 +17,7 @@ class Renew(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, ta
     resource: Name
     number: Count
     agent: Name
-    generation: Count
+    generation: Ordinal
 
 
 class Release(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=21):

@@ -17,7 +17,8 @@ AGAIN = {exits.UNAVAILABLE, exits.SOFTWARE, exits.INPUT_OUTPUT}
 
 
 def unit() -> RawConfigParser:
-    read = RawConfigParser(strict=True)
+    # Lists are written in several lines of one key.
+    read = RawConfigParser(strict=False)
     read.optionxform = str  # type: ignore[assignment, method-assign]
     read.read(ROOT / "deploy/lfield@.service")
     return read

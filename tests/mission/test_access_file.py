@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
-from functools import cache
+from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 import pytest
@@ -12,6 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from lfield.authority.identity import Right
+from lfield.capability.model import Registry
 from lfield.capability.reading.reader import read_registry
 from lfield.cli.main import main
 from lfield.errors import Finding, ProgramError
@@ -26,7 +27,7 @@ from lfield.mission.access.rules import (
     decode_access,
     encode_access,
 )
-from lfield.mission.load import load_mission, mission_problems
+from lfield.mission.load import load_mission
 from lfield.mission.mission import Mission
 
 PROGRAM = """
@@ -83,6 +84,29 @@ def deployed(folder: Path, text: str) -> Path:
 
 def loaded(folder: Path, text: str) -> Mission:
     return load_mission(deployed(folder, text))
+
+
+@dataclass(frozen=True)
+class Site:
+    """The mission, compiled once, and whatever its access file may say."""
+
+    folder: Path
+    mission: Mission
+
+    @cached_property
+    def registry(self) -> Registry:
+        return read_registry(mission=self.folder / "mission.capabilities.yaml")
+
+    def read(self, text: str) -> Access:
+        path = self.folder / "mission.access.yaml"
+        path.write_text(text, encoding="utf-8", newline="")
+        return read_access(path, self.mission.team.members, self.mission.program, lambda: self.registry)
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Site:
+    folder = tmp_path_factory.mktemp("site")
+    return Site(folder, loaded(folder, PAGE))
 
 
 def test_a_page_is_read_with_the_places_of_its_lines(tmp_path: Path) -> None:
@@ -171,20 +195,17 @@ def test_a_registry_is_read_for_names_of_capabilities_alone(tmp_path: Path) -> N
     ],
 )
 def test_what_fits_nothing_is_drawn_at_its_place(
-    tmp_path: Path, text: str, drawn: str, said: str, hint: str
+    site: Site, text: str, drawn: str, said: str, hint: str
 ) -> None:
-    deploy = deployed(tmp_path, f"# first line\n{text}\n")
     with pytest.raises(ProgramError) as error:
-        load_mission(deploy)
+        site.read(f"# first line\n{text}\n")
     (finding,) = error.value.diagnostics
     shown = finding.render().splitlines()
     column = text.rindex(drawn) + 1 if drawn else text.index(": }") + 3
-    assert shown[0].startswith(f"{tmp_path}/mission.access.yaml:2:{column}: error[Y1")
+    assert shown[0].startswith(f"{site.folder}/mission.access.yaml:2:{column}: error[Y1")
     assert said in shown[0]
     assert shown[2].index("^") == 4 + column - 1
     assert hint in shown[-1]
-    # `lfield check` finds the same.
-    assert [found.render() for found in mission_problems(deploy)] == [finding.render()]
 
 
 def test_all_mistakes_are_told_at_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -205,12 +226,6 @@ def test_a_file_that_cannot_be_read_is_named(tmp_path: Path, capsys: pytest.Capt
     assert "mission.access.yaml" in capsys.readouterr().err
 
 
-@pytest.fixture(scope="module")
-def site(tmp_path_factory: pytest.TempPathFactory) -> Mission:
-    return loaded(tmp_path_factory.mktemp("site"), PAGE)
-
-
-known = cache(read_registry)
 WORDS = (
     "all",
     "others",
@@ -232,23 +247,19 @@ WORDS = (
 
 
 @given(st.data())
-def test_any_text_is_rules_or_findings_with_places(
-    site: Mission, tmp_path_factory: pytest.TempPathFactory, draw: st.DataObject
-) -> None:
+def test_any_text_is_rules_or_findings_with_places(site: Site, draw: st.DataObject) -> None:
     start, end = sorted((draw.draw(st.integers(0, len(PAGE))), draw.draw(st.integers(0, len(PAGE)))))
     new = draw.draw(st.sampled_from(WORDS) | st.text(max_size=8))
-    path = tmp_path_factory.getbasetemp() / f"any{os.getpid()}.access.yaml"
-    path.write_text(PAGE[:start] + new + PAGE[min(end, start + 9) :], encoding="utf-8", newline="")
     findings: Sequence[Finding] = ()
     access = UNWRITTEN
     try:
-        access = read_access(path, site.team.members, site.program, known)
+        access = site.read(PAGE[:start] + new + PAGE[min(end, start + 9) :])
     except ProgramError as error:
         findings = error.diagnostics
     assert all(finding.render().count("\n") >= 2 for finding in findings)
     assert decode_access(encode_access(access)) == access
-    for coordinator in site.team.coordinators:
-        for resource in site.team.members:
+    for coordinator in site.mission.team.coordinators:
+        for resource in site.mission.team.members:
             assert access.refusal(coordinator, resource, "home").count("\n") == 0
 
 

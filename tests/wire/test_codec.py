@@ -26,7 +26,18 @@ from lfield.wire.codec import (
 from lfield.wire.coordinators import Accepted, Ended, EndedAck, Inquire, Known, Refused, Transfer
 from lfield.wire.fields import MAX_LABEL, MAX_NAME, MAX_NUMBERS, MAX_TEXT, clip
 from lfield.wire.framing import HEADER_SIZE
-from lfield.wire.messages import AgentReport, FactReport, ForeignHello, Hello, Ping, Pong, Refuse, Report
+from lfield.wire.messages import (
+    AgentReport,
+    FactReport,
+    ForeignHello,
+    Heard,
+    Hello,
+    Ping,
+    Pong,
+    Refuse,
+    Report,
+    SignOfLife,
+)
 from lfield.wire.observing import (
     AgentStatus,
     BegunStatus,
@@ -36,12 +47,14 @@ from lfield.wire.observing import (
     JournalStatus,
     LinkStatus,
     ParkedStatus,
+    Recover,
     ReservedStatus,
     Status,
     StatusRequest,
     Told,
     ToldFact,
 )
+from lfield.wire.quorum import Promise
 from lfield.wire.reservations import Release, Renew
 
 HASH = b"h" * 32
@@ -143,7 +156,7 @@ def test_a_transfer_is_its_header_and_the_very_bytes():
 
 
 def test_the_largest_transfer_header_fits():
-    widest = Transfer("\U0010ffff" * MAX_NAME, *[2**63 - 1] * 3, HASH, 2**63 - 1, 0)
+    widest = Transfer("\U0010ffff" * MAX_NAME, *[2**62] * 3, HASH, 2**63 - 1, 0)
     assert len(encode_transfer(widest, b"")) - HEADER_SIZE <= MAX_TRANSFER_HEADER
     assert decode_transfer(parts(encode_transfer(widest, b""))[1])[0] == widest
 
@@ -213,7 +226,12 @@ def test_what_fits_its_checksum_and_is_no_message_is_a_wire_error(kind, start, b
         Accepted("", 1, 1),
         Accepted("x" * (MAX_NAME + 1), 1, 1),
         Accepted("Tour:one", -1, 1),
-        Accepted("Tour:one", 1, 2**63),
+        Accepted("Tour:one", 1, 2**62 + 1),
+        Accepted("Tour:one", 2**62 + 1, 1),
+        status(coordinators=[replace(KNOWN, hops=2**62 + 1)]),
+        Recover("Tour:one", 1, 1, above=2**62 + 1),
+        Promise("Tour:one", 1, fence=2**62 + 1, place=None),
+        Heard([SignOfLife(1, 1, 2**62 + 1)], []),
         Refused("Tour:one", 1, 1, "LimitException", "x" * (MAX_TEXT + 1)),
         Ended("Tour:one", 1, "asleep", "", "a"),
         Hello("host", "a", 1, b"h" * 33),

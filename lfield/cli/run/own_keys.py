@@ -13,6 +13,7 @@ from lfield.mission.access.release import Release
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
+    from pathlib import Path
 
     from lfield.host.process.proving import Proof
     from lfield.mission.mission import Mission
@@ -35,12 +36,24 @@ def proof_of(host: str, args: argparse.Namespace) -> Proof | None:
     return Proof(folder.read(found, "host"), (found, kept), args.lasts)
 
 
-def signed_here(mission: Mission, args: argparse.Namespace) -> Mission:
-    """A mission that was built just now of files: by having it run, whoever may sign bundles has signed it.
+def built_here(mission: Mission, path: Path, args: argparse.Namespace) -> Mission:
+    """A mission that was built just now, of a bundle or of files, as what a host takes it for.
 
-    Without such keys it stays as it is, and a host says what is missing. Raises KeysError for keys that
-    cannot be used.
+    A bundle that gets this computer's own devices is the one that was signed. What is of files, whoever may
+    sign bundles has signed by having it run; without such keys a host says what is missing.
+
+    Raises KeysError for keys that cannot be used.
     """
+    from lfield.mission import bundle
+
+    if path.suffix != bundle.SUFFIX:
+        return _signed(mission, args)
+    whole = bundle.read(path)
+    alike = [(m.program.digest, m.team.deployment, m.access.digest) for m in (whole, mission)]
+    return replace(mission, release=whole.release) if alike[0] == alike[1] else mission
+
+
+def _signed(mission: Mission, args: argparse.Namespace) -> Mission:
     import time
 
     from lfield.authority import folder

@@ -180,7 +180,7 @@ def _look_at_dumps(folder: Path) -> None:
 
 def _run_one(mission: Mission, args: argparse.Namespace, *, built: bool) -> int:
     from lfield import loop
-    from lfield.cli.run.own_keys import proof_of, signed_here
+    from lfield.cli.run.own_keys import built_here, proof_of
     from lfield.host.process.run import run_host
     from lfield.net.local import own_host
 
@@ -188,7 +188,7 @@ def _run_one(mission: Mission, args: argparse.Namespace, *, built: bool) -> int:
     proof = proof_of(name, args)
     if proof is not None:
         _look_at_port(mission, name, args)
-        mission = signed_here(mission, args) if built else mission
+        mission = built_here(mission, mission_path(args), args) if built else mission
     if not _ready(mission, name, args):
         return exits.FAILED
     with (

@@ -81,6 +81,21 @@ def test_what_nobody_has_signed_who_may_does_not_run(lfield, here, made, tmp_pat
     assert "is not of this authority" in refused(lfield, *maps)
 
 
+def test_a_robots_own_devices_file_needs_no_other_signature(lfield, here, made) -> None:
+    maps = made()
+    lfield.write("robot.yaml", "unreachable_after: 5\n")
+    words = ("up", "mission.lfm", *maps, "--devices", "robot.yaml", "--until-done", "--first-start")
+    lfield.keys.put("me", lfield.keys.made("person", "olga", Right.OPERATE))
+    unsigned = lfield(*words, "--host", "alpha")
+    assert lfield.status(unsigned) == 65
+    assert "nobody has signed it" in unsigned.said
+    lfield.keys.put("me", lfield.keys.made("person", "carl", Right.COMMAND))
+    lfield.keys.sign(lfield.folder / "mission.lfm")
+    lfield.keys.put("me", lfield.keys.made("person", "olga", Right.OPERATE))
+    hosts = [lfield.start(*words, "--host", name) for name in ("alpha", "bravo")]
+    assert [host.wait() for host in hosts] == [0, 0]
+
+
 def test_a_bit_that_was_changed_after_signing_is_seen(lfield, here, made) -> None:
     maps = made()
     assert here("sign", "mission.lfm").status == 0

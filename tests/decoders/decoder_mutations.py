@@ -1,0 +1,126 @@
+"""Inputs like others, but not quite: bytes and bits, and values in the tree of a msgpack message.
+
+What is drawn comes from the dice alone, so that a seed is enough to have an input again.
+"""
+
+from __future__ import annotations
+
+import math
+import random
+from collections.abc import Sequence
+from typing import Any
+
+import msgspec
+from decoder_target import LONGEST, Target
+
+#: Numbers at the bounds of what is common, and values of every kind.
+EDGES = (0, 1, -1, 2, 127, 128, 255, 256, 65535, 65536, *(2**n - d for n in (31, 32, 53, 63) for d in (0, 1)))
+ODD: Sequence[Any] = (
+    *EDGES,
+    *(2**64 - 1, -(2**31), -(2**63), 0.5, -0.0, 1e9, 1e308, -1e308, 5e-324, math.nan, math.inf, -math.inf),
+    *(None, True, False, "", "a", "\0", "\n", "é" * 40, "\u202e", "\U0010ffff", "x" * 300, "x" * 3000),
+    *(b"", b"\0" * 32, b"\xff" * 40, [], {}, [[]], {"": 0}, [0] * 70, {1: 2}, msgspec.msgpack.Ext(1, b"x")),
+)
+#: How deep a list is that lies within itself.
+_DEEP = 200
+
+
+def mutated(target: Target, data: bytes, dice: random.Random, other: bytes = b"") -> bytes:
+    """An input like `data`; parts of `other` may come into it."""
+    for _ in range(1 + int(dice.expovariate(0.7))):
+        if target.packed and dice.random() < 0.8:
+            data = _mutated_tree(target, data, other, dice)
+        else:
+            data = _mutated_bytes(target, data, other, dice)
+    return data[:LONGEST]
+
+
+def _mutated_tree(target: Target, data: bytes, other: bytes, dice: random.Random) -> bytes:
+    try:
+        tree = msgspec.msgpack.decode(data)
+    except (msgspec.MsgspecError, ValueError, RecursionError, TypeError):
+        return _mutated_bytes(target, data, other, dice)
+    places = list(_places(tree))
+    if not places:
+        return msgspec.msgpack.encode(_value(target, [], dice))
+    holder, key = dice.choice(places)
+    what = dice.randrange(8)
+    if what <= 3:
+        holder[key] = _value(target, places, dice)
+    elif what == 4:
+        del holder[key]
+    elif isinstance(holder, list) and what == 5:
+        holder.insert(key, _value(target, places, dice))
+    elif isinstance(holder, list) and what == 6:
+        holder[key:key] = holder[key : key + dice.randint(1, 4)] * dice.choice((1, 2, 20))
+    else:
+        holder[key] = _tweaked(holder[key], dice)
+    try:
+        return msgspec.msgpack.encode(tree)
+    except (msgspec.MsgspecError, OverflowError, RecursionError, TypeError, ValueError):
+        return data
+
+
+def _places(tree: Any, depth: int = 0) -> list[tuple[Any, Any]]:
+    """All holders with a key of each, down to some depth."""
+    if depth > 20 or not isinstance(tree, list | dict):
+        return []
+    found = [(tree, key) for key in (range(len(tree)) if isinstance(tree, list) else tree)]
+    return found + [place for holder, key in found for place in _places(holder[key], depth + 1)]
+
+
+def _value(target: Target, places: Sequence[tuple[Any, Any]], dice: random.Random) -> Any:
+    what = dice.random()
+    if what < 0.4 and places:
+        holder, key = dice.choice(places)
+        return holder[key]
+    if what < 0.6 and target.words:
+        return dice.choice(target.words)
+    if what < 0.62:
+        deep: Any = 0
+        for _ in range(_DEEP):
+            deep = [deep]
+        return deep
+    return dice.choice(ODD)
+
+
+def _tweaked(value: Any, dice: random.Random) -> Any:
+    if isinstance(value, bool):
+        return not value
+    if isinstance(value, int):
+        return dice.choice((value + 1, value - 1, value ^ 1 << dice.randrange(40), -value, value * 2))
+    if isinstance(value, float):
+        return dice.choice((-value, value * 1e3, value / 1e3, math.nextafter(value, math.inf)))
+    if isinstance(value, bytes) and value:
+        return _mutated_bytes(None, value, b"", dice)
+    if isinstance(value, str):
+        return dice.choice((value[:-1], value + value, value.upper(), value + "\n", value[1:]))
+    return dice.choice(ODD)
+
+
+def _mutated_bytes(target: Target | None, data: bytes, other: bytes, dice: random.Random) -> bytes:
+    text, at = bytearray(data), dice.randint(0, len(data))
+    what = dice.randrange(9)
+    if what == 0 and text:
+        text[dice.randrange(len(text))] ^= 1 << dice.randrange(8)
+    elif what == 1 and text:
+        text[dice.randrange(len(text))] = dice.choice((0, 1, 0x7F, 0x80, 0xFF, dice.randrange(256)))
+    elif what == 2:
+        del text[at : at + dice.choice((1, 2, 4, 8, 64))]
+    elif what == 3:
+        text[at:at] = dice.randbytes(dice.choice((1, 2, 4, 8, 64)))
+    elif what == 4:
+        size, order = dice.choice((1, 2, 4, 8)), dice.choice(("big", "little"))
+        text[at : at + size] = (dice.choice(EDGES) & (1 << 8 * size) - 1).to_bytes(size, order)
+    elif what == 5 and other:
+        start = dice.randrange(len(other))
+        text[at : at + dice.choice((0, 4, 64))] = other[start : start + dice.choice((1, 4, 16, 64, 256))]
+    elif what == 6 and text:
+        start = dice.randrange(len(text))
+        text[at:at] = text[start : start + dice.choice((1, 4, 16, 64))] * dice.choice((1, 2, 30))
+    elif what == 7 and target is not None and target.words:
+        word = dice.choice(target.words)
+        text[at:at] = word if isinstance(word, bytes) else str(word).encode()
+    else:
+        del text[at:]
+    return bytes(text)

@@ -1,0 +1,205 @@
+"""`make fuzz-decoders`: so many inputs into every decoder that sees bytes of others, and what came of it.
+
+    python tests/decoders/run.py --count 10000 --seed 1 [--only bundle,block] [--guided]
+
+Each decoder is fuzzed in a process of its own, whose address space is bounded. An input that crashes it is
+written into tests/decoders/found; `--again FILE` decodes that one. With `--guided` atheris (pip install it)
+chooses the inputs by the code that they reach, and what reaches more comes into the corpus.
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import random
+import resource
+import subprocess
+import sys
+import tempfile
+import time
+import traceback
+from pathlib import Path
+
+from decoder_corpus import corpus_of, keep
+
+HERE = Path(__file__).parent
+FOUND = HERE / "found"
+#: Bytes of address space that a target may take beyond what it has before its first input.
+ROOM = 512 << 20
+#: Different crashes of one target that are told before it is left alone.
+MOST = 20
+#: Inputs that are kept of one decoder because they reach more: the shortest.
+KEPT = 100
+
+
+def main() -> int:
+    """The command."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--count", type=int, default=10_000, help="inputs for each decoder")
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--only", default="", help="names of decoders, with commas between")
+    parser.add_argument("--guided", action="store_true", help="by atheris; the corpus grows")
+    parser.add_argument("--inside", default="", help=argparse.SUPPRESS)
+    parser.add_argument("--folder", default="", help=argparse.SUPPRESS)
+    parser.add_argument("--again", default="", help="decode one file: tests/decoders/found/NAME-...")
+    parser.add_argument("--keep", action="store_true", help="with --again: keep it in the corpus")
+    options = parser.parse_args()
+    if options.again:
+        again(Path(options.again), kept=options.keep)
+        return 0
+    if options.folder:
+        guided(options.inside, options.count, options.seed, options.folder)
+    if options.inside:
+        return fuzz(options.inside, options.count, options.seed)
+    return all_of_them(options)
+
+
+def all_of_them(options: argparse.Namespace) -> int:
+    """Every decoder in turn, and the sum."""
+    from decoder_targets import TARGETS
+
+    names = options.only.split(",") if options.only else list(TARGETS)
+    broken, began, total = [], time.monotonic(), 0
+    for name in names:
+        count = max(1, options.count // TARGETS[name].share)
+        words = ["--inside", name, "--count", str(count), "--seed", str(options.seed)]
+        total += count
+        if options.guided:
+            crashed = hunt(name, words)
+        else:
+            crashed = subprocess.run([sys.executable, __file__, *words]).returncode
+        if crashed:
+            broken.append(name)
+    took = time.monotonic() - began
+    crashes = f"crashes in {', '.join(broken)}" if broken else "0 crashes"
+    told = f"{len(names)} decoders, {total:,} inputs, seed {options.seed}"
+    print(f"{told}: {crashes} ({took:.0f} s)")
+    return 1 if broken else 0
+
+
+def fuzz(name: str, count: int, seed: int) -> int:
+    """So many mutations of what is known of one decoder; 1 when one of them crashed it."""
+    from decoder_mutations import mutated
+    from decoder_target import bounded
+    from decoder_targets import TARGETS
+
+    target, dice = TARGETS[name], random.Random(f"{name} {seed}")
+    known = [*target.good, *corpus_of(name)]
+    for data in known:
+        target.take(data)
+    room()
+    crashes: set[str] = set()
+    began, slowest = time.process_time(), 0.0
+    done = 0
+    while done < count:
+        done += 1
+        data = mutated(target, dice.choice(known), dice, dice.choice(known))
+        before = time.process_time()
+        try:
+            with bounded():
+                target.take(data)
+        except BaseException as error:
+            if isinstance(error, KeyboardInterrupt):
+                raise
+            tell(name, data, error, crashes)
+            if len(crashes) >= MOST:
+                break
+        slowest = max(slowest, time.process_time() - before)
+    took = time.process_time() - began
+    told = f"{len(crashes)} crashes  {took:7.1f} s  slowest {slowest * 1e3:.0f} ms"
+    print(f"{name:14} {done:9,} inputs  {told}", flush=True)
+    return 1 if crashes else 0
+
+
+def tell(name: str, data: bytes, error: BaseException, crashes: set[str]) -> None:
+    """A crash that nobody has seen before: its input is kept, and where it was is told."""
+    frames = traceback.extract_tb(error.__traceback__)
+    where = next((f for f in reversed(frames) if str(HERE) not in f.filename), frames[-1])
+    kind = f"{type(error).__name__} {where.filename}:{where.lineno}"
+    if kind in crashes:
+        return
+    crashes.add(kind)
+    FOUND.mkdir(exist_ok=True)
+    path = FOUND / f"{name}-{hashlib.sha256(data).hexdigest()[:12]}"
+    path.write_bytes(data)
+    print(f"CRASH {name}: {kind}: {error}\n    python tests/decoders/run.py --again {path}", flush=True)
+
+
+def again(path: Path, *, kept: bool) -> None:
+    """Decode the input of a file, with the traceback that comes of it."""
+    from decoder_target import bounded
+    from decoder_targets import TARGETS
+
+    name, data = path.name.rpartition("-")[0], path.read_bytes()
+    if kept:
+        keep(name, [*corpus_of(name), data])
+    with bounded():
+        TARGETS[name].take(data)
+    print("it is refused, or taken, as it should be")
+
+
+def room() -> None:
+    """From here on an input that takes more memory than there should ever be gets none."""
+    used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
+    resource.setrlimit(resource.RLIMIT_AS, (used + ROOM, resource.getrlimit(resource.RLIMIT_AS)[1]))
+
+
+def hunt(name: str, words: list[str]) -> int:
+    """As `fuzz`, by atheris; what reaches code that nothing else has reached is kept, the shortest of it."""
+    from decoder_targets import TARGETS
+
+    good = set(TARGETS[name].good)
+    FOUND.mkdir(exist_ok=True)
+    with tempfile.TemporaryDirectory(prefix=f"lfield-{name}-") as folder:
+        for data in {*good, *corpus_of(name)}:
+            (Path(folder) / hashlib.sha256(data).hexdigest()).write_bytes(data)
+        before = set(FOUND.glob(f"{name}-*"))
+        subprocess.run([sys.executable, __file__, *words, "--guided", "--folder", folder], check=True)
+        old = corpus_of(name)
+        reached = {path.read_bytes() for path in Path(folder).iterdir()} - good - set(old)
+    # What is there stays: also what once crashed it (--keep).
+    keep(name, [*old, *sorted(reached, key=len)[: max(0, KEPT - len(old))]])
+    return 1 if set(FOUND.glob(f"{name}-*")) - before else 0
+
+
+def guided(name: str, count: int, seed: int, folder: str) -> None:
+    """Atheris, in a process that libFuzzer ends itself. It adds to the folder what reaches more."""
+    import atheris
+
+    with atheris.instrument_imports(include=["lfield", "lfield_mavlink", "lfield_can", "lfield_dynamixel"]):
+        from decoder_mutations import mutated
+        from decoder_target import bounded
+        from decoder_targets import TARGETS
+
+    target, crashes = TARGETS[name], set[str]()
+    good = [*target.good, *corpus_of(name)]
+
+    def take(data: bytes) -> None:
+        try:
+            with bounded():
+                target.take(data)
+        except BaseException as error:
+            tell(name, data, error, crashes)
+
+    def mutate(data: bytes, most: int, number: int) -> bytes:
+        dice = random.Random(number)
+        return mutated(target, data, dice, dice.choice(good))[:most]
+
+    flags = [
+        f"-runs={count}",
+        f"-seed={seed}",
+        "-max_len=8192",
+        "-rss_limit_mb=2000",
+        "-verbosity=0",
+        "-print_final_stats=1",
+    ]
+    atheris.Setup(
+        [__file__, folder, f"-artifact_prefix={FOUND}/{name}-", *flags], take, custom_mutator=mutate
+    )
+    atheris.Fuzz()
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,287 @@
+"""The pipe between a host and its guards, both ways: what a driver loads is foreign code."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Coroutine, Sequence
+from types import SimpleNamespace
+from typing import Any
+
+import msgspec
+from decoder_target import Target
+from targets_of_links import pack, unpack
+
+from lfield.devices.keeper import Guard
+from lfield.devices.lateness import Lateness, Limit
+from lfield.driver.binding import DeviceBinding
+from lfield.driver.contract import Manifest
+from lfield.driver.device import Device, Driver
+from lfield.driver.known import KnownDriver, ManifestFile
+from lfield.guard import messages
+from lfield.guard.messages import MESSAGES, Open
+from lfield.guard.shell import Shell
+from lfield.manifest import DeviceManifest, Instruction, Observation, Parameter, Quantity
+from lfield.simulate.time import LoopClock, run_jumping
+from lfield.wire.framing import frame
+
+THING = DeviceManifest(
+    "Thing",
+    "thing",
+    (
+        Instruction("move", (Parameter("to", "real"),), effect="idempotent", blocking=True, cancel="halt"),
+        Instruction("halt", effect="idempotent", blocking=True),
+        Instruction("steer", (Parameter("by", "real[]"),)),
+        Instruction("look", (), "int", effect="query", blocking=True),
+        Instruction("where", (), "real", effect="query"),
+    ),
+    (Quantity("where", "real"), Quantity("all", "real[]"), Quantity("on", "boolean")),
+    safe_states=("off", "hold"),
+)
+BINDING = DeviceBinding(
+    agent="a",
+    field="x",
+    type="Thing",
+    driver="thing",
+    endpoint="virtual:1",
+    safe_state="off",
+    options={},
+    waivers=["device_watchdog"],
+)
+KNOWN = KnownDriver(
+    "thing",
+    "lfield_thing:PLUGIN",
+    {"Thing": Manifest(THING)},
+    {"Thing": ManifestFile("manifest.yaml", bytes(32))},
+    "",
+)
+WORDS = (
+    "a.x",
+    "Thing",
+    "move",
+    "halt",
+    "steer",
+    "look",
+    "where",
+    "all",
+    "on",
+    "off",
+    "hold",
+    *range(20),
+    1e9,
+)
+
+
+class Thing(Device):
+    """A device that does what it is told, at once."""
+
+    async def _open(self) -> str:
+        return "a thing"
+
+    async def _make_safe(self, state: str) -> None:
+        pass
+
+    async def do_move(self, to: float) -> None:
+        """It takes its time."""
+        await asyncio.sleep(to if 0.0 < to < 5.0 else 0.1)
+
+    async def do_halt(self) -> None:
+        """It stands."""
+
+    async def do_steer(self, by: Sequence[float]) -> None:
+        """It turns."""
+        self.publish(all=list(by))
+
+    async def do_look(self) -> int:
+        """It sees."""
+        return 7
+
+
+class Bus(Driver):
+    """A bus of things."""
+
+    def _device(self, binding: DeviceBinding) -> Device:
+        return Thing(binding, self.manifests[binding.type], self.clock, self.reports)
+
+    async def _open(self) -> None:
+        pass
+
+    async def _close(self) -> None:
+        pass
+
+
+class Output:
+    """The pipe to the host."""
+
+    def __init__(self) -> None:
+        self.reader = messages.MessageReader()
+
+    def write(self, data: bytes) -> None:
+        """What it says can be read."""
+        list(self.reader.feed(data))
+
+    def is_closing(self) -> bool:
+        """It is open."""
+        return False
+
+    def get_write_buffer_size(self) -> int:
+        """It is empty."""
+        return 0
+
+
+class Free:
+    """A lock that nobody else wants."""
+
+    async def take(self, endpoint: str) -> None:
+        """It is taken."""
+
+    def release(self) -> None:
+        """It is free."""
+
+
+async def on_a_loop(work: Coroutine[Any, Any, None]) -> None:
+    """Run it, and raise what was raised beside it."""
+    raised: list[Any] = []
+    asyncio.get_running_loop().set_exception_handler(lambda _, context: raised.append(context))
+    await work
+    for context in raised:
+        raise context.get("exception") or AssertionError(context)
+
+
+def frames(data: bytes) -> list[bytes]:
+    """The frames of a tree of [kind, fields]; bytes stand for themselves. A pause is a number."""
+    try:
+        tree = unpack(data)
+    except (msgspec.MsgspecError, ValueError, RecursionError):
+        return []
+    found = []
+    for event in tree[:50] if isinstance(tree, list) else ():
+        if isinstance(event, list) and len(event) == 2 and isinstance(event[0], int):
+            found.append(frame(event[0] & 0xFF, pack(event[1])))
+        elif isinstance(event, bytes):
+            found.append(event)
+    return found
+
+
+def take_in_guard(data: bytes) -> None:
+    """What a guard does with what its host says."""
+
+    async def story() -> None:
+        plugin: Any = SimpleNamespace(load=lambda: Bus, manifest_digest=lambda file: bytes(32), reference="")
+        shell = Shell(plugin, Output(), LoopClock(), lock=Free())  # type: ignore[arg-type]
+        raised: list[Any] = []
+        crashed = shell._callback_raised
+
+        def told(loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
+            raised.append(context)
+            crashed(loop, context)
+
+        asyncio.get_running_loop().set_exception_handler(told)
+        for piece in frames(data):
+            shell.data_received(piece)
+            await asyncio.sleep(0.03)
+        shell.connection_lost(None)
+        await asyncio.sleep(30.0)
+        await shell.close()
+        for context in raised:
+            raise context.get("exception") or AssertionError(context)
+
+    run_jumping(story())
+
+
+class Process:
+    """A guard's process that is a fuzzer."""
+
+    def __init__(self) -> None:
+        self.closed = False
+
+    def get_pipe_transport(self, fd: int) -> Any:
+        """Its stdin."""
+        return SimpleNamespace(is_closing=lambda: False, write=lambda data: None)
+
+    def get_pid(self) -> None:
+        """It has none."""
+
+    def get_returncode(self) -> None:
+        """It runs."""
+
+    def close(self) -> None:
+        """It is over."""
+
+
+def take_in_host(data: bytes) -> None:
+    """What a host does with what a guard says."""
+
+    async def story() -> None:
+        notes: list[str] = []
+        guard = Guard(KNOWN, [BINDING], LoopClock(), notes.append, Lateness(Limit(1.0, False)), lambda: True)
+        guard.connection_made(Process())  # type: ignore[arg-type]
+        called = False
+        # Somebody waits for it to be open.
+        guard._opening.add_done_callback(lambda opening: opening.cancelled() or opening.exception())
+        for piece in frames(data):
+            guard.pipe_data_received(1, piece)
+            await asyncio.sleep(0.03)
+            if guard.ready and not called:
+                called = True
+                for instruction, arguments in ((0, [1.0]), (3, []), (2, [[1.0, 2.0]])):
+                    guard.call("a.x", THING.instructions[instruction], arguments, lambda value: None)
+            guard.trouble("a.x"), guard.snapshots.telemetry, guard.snapshots.in_words("a.x")
+            for quantity in THING.telemetry:
+                if guard.snapshots.last("a.x", quantity.name) is not None:
+                    guard.snapshots.reading("a.x", quantity.name)
+
+    run_jumping(on_a_loop(story()))
+
+
+def _kind(message: msgspec.Struct) -> list[Any]:
+    return [MESSAGES.index(type(message)), unpack(msgspec.msgpack.encode(message))]  # type: ignore[arg-type]
+
+
+def _host_says() -> list[bytes]:
+    opened, m = Open([BINDING], "", 0.5, KNOWN), messages
+    said = [
+        m.Beat(1000.01),
+        m.Call(1, "a.x", "move", [1.0], 1000.02, 1009.0),
+        m.Call(2, "a.x", "look", [], 1000.03, 1009.0),
+        m.Call(3, "a.x", "steer", [[1.0, 2.0]], 1000.03, 1009.0),
+        m.Cancel(1, 1000.1),
+        m.Safe("a.x", "why"),
+        m.Safe("", "why", True, "hold"),
+        m.Allow(),
+        m.Call(4, "a.x", "release", [], 1000.3, 1009.0),
+        m.Stop("end"),
+    ]
+    whole = [_kind(opened), *map(_kind, said)]
+    return [pack(whole), *(pack([whole[0], whole[1], each]) for each in whole)]
+
+
+def _guard_says() -> list[bytes]:
+    m = messages
+    seen = {"where": Observation(1.0, 1000.1), "on": Observation(True, 1000.1)}
+    said = [
+        m.Ready({"a.x": "a thing"}),
+        m.Snapshot("a.x", seen, 1000.1),
+        m.Done(1, None),
+        m.Done(2, 7),
+        m.Refused(3, "DeviceException", "no"),
+        m.Latched("a.x", "why", False),
+        m.Latched("a.x", "why", True, "hold"),
+        m.Moving("a.x", "rolls"),
+        m.Released("a.x"),
+        m.Note("a.x", "said"),
+        m.Failed([("a.x", "DeviceException", "no")]),
+        m.Stopped({"a.x": "rolls"}),
+        m.Beat(1000.2),
+    ]
+    ready = _kind(said[0])
+    return [
+        pack([*map(_kind, said)]),
+        *(pack([ready, _kind(each)]) for each in said),
+        pack([_kind(said[10])]),
+    ]
+
+
+TARGETS = (
+    Target("guard-in", _host_says, take_in_guard, True, WORDS),
+    Target("guard-out", _guard_says, take_in_host, True, WORDS),
+)

@@ -1,0 +1,363 @@
+"""What comes in on a link: streams of frames, greetings, messages, transfers, and what they do to a host."""
+
+from __future__ import annotations
+
+import random
+import struct
+import zlib
+from collections.abc import Callable, Sequence
+from functools import cache
+from typing import Any
+
+import msgspec
+from decoder_missions import HOSTS, mission
+from decoder_target import Target
+
+from lfield.authority.identity import NONE, Identity
+from lfield.clock import ManualClock
+from lfield.errors import GreetingError, LfieldError, WireError
+from lfield.host.core import HostCore
+from lfield.mobility.effects import Send, SendTransfer
+from lfield.mobility.neighbours import Neighbourhood
+from lfield.net.framed import FramedLink
+from lfield.net.greeting import Greeting
+from lfield.wire import codec
+from lfield.wire.coordinators import Known, Transfer
+from lfield.wire.framing import HEADER_SIZE
+from lfield.wire.messages import Control, Hello, Message
+
+pack = msgspec.msgpack.encode
+unpack = msgspec.msgpack.decode
+#: Names that mean something in that mission, and the tags of messages.
+WORDS = (
+    *("alpha", "bravo", "charlie", "bell", "horn", "tom", "ann", "idle", "near", "far", "host", "observer"),
+    *("RUN", "EXITED", "MOVED", "FROZEN", "PREPARED", "IN DOUBT", "PARKED"),
+    *("done", "died", "lost", "superseded", "measured", *range(40)),
+)
+
+
+#: Who has proven to be at the other end.
+BRAVO = Identity("host", "bravo", NONE)
+
+
+class Nothing:
+    """What a host without devices may look at."""
+
+    away: dict[str, float] = {}
+
+    def last_heard(self, host: str) -> None:
+        """Nothing was heard."""
+
+    def last(self, device: str, quantity: str) -> None:
+        """There is no telemetry."""
+
+    def trouble(self, device: str) -> None:
+        """There is no device."""
+
+
+def host(name: str, clock: ManualClock, life: int) -> HostCore:
+    """A host of the mission with resources and coordinators of its own, started."""
+    made = mission()
+    neighbours = Neighbourhood(made.team.hosts, made.team.number(name), everybody=True)
+    core = HostCore(made, name, life, clock, Nothing(), random.Random(1), 10.0, neighbours)
+    core.start_resources(first=True)
+    core.run()
+    return core
+
+
+def sealed(body: bytes, before: bytes = b"") -> bytes:
+    """The payload of a message or greeting with the checksum that it should have."""
+    check = zlib.crc32(body, len(before) + 4 + len(body))
+    return before + struct.pack(">I", check) + body
+
+
+# -- one message ----------------------------------------------------------------------------------------
+
+
+def take_control(data: bytes) -> None:
+    """One control message, whose checksum fits."""
+    try:
+        codec.encode(codec.decode(codec.CONTROL, sealed(data)))
+    except WireError:
+        return
+
+
+def take_greeting(data: bytes) -> None:
+    """A greeting, as a host hears it."""
+    own = greeting("alpha")
+    for role in ("host", "observer"):
+        try:
+            hello = codec.decode(codec.HELLO, sealed(data, b"lfld\0" + bytes([codec.PROTOCOL])))
+            here = msgspec.structs.replace(own, role=role)
+            Greeting(here, BRAVO, hosts=HOSTS, linked={"charlie": 5}).receive(hello)
+        except (WireError, GreetingError) as error:
+            str(error)
+
+
+def take_transfer(data: bytes) -> None:
+    """A transfer: the length of its header in a byte, header, block."""
+    head, block = data[1 : 1 + (data[0] if data else 0)], data[1 + (data[0] if data else 0) :]
+    start = struct.pack(">IH", zlib.adler32(block), len(head)) + head
+    checked = struct.pack(">I", zlib.crc32(start, 4 + len(start) + len(block))) + start
+    try:
+        codec.decode_transfer(checked + block)
+    except WireError:
+        return
+
+
+class Ears:
+    """Whoever has a link and hears what comes on it."""
+
+    def __init__(self) -> None:
+        self.heard: list[object] = []
+
+    def on_message(self, link: FramedLink, message: Message) -> None:
+        """After the greeting of a host everything may come."""
+        self.heard.append(message)
+        if isinstance(message, Hello):
+            link.greeted(message.role)
+
+    def on_transfer(self, link: FramedLink, header: Transfer, block: memoryview) -> None:
+        """A coordinator."""
+        self.heard.append(bytes(block))
+
+    def on_oversize(self, link: FramedLink, header: Transfer, size: int) -> None:
+        """A coordinator too large."""
+        self.heard.append(size)
+
+    def on_closed(self, link: FramedLink, error: LfieldError | None) -> None:
+        """The end."""
+        self.heard.append(str(error))
+
+
+class Pipe(FramedLink):
+    """A link whose other end is a fuzzer."""
+
+    def close(self) -> None:
+        """No more."""
+        self.closed = True
+
+
+def take_stream(data: bytes) -> None:
+    """Bytes of a link in pieces, of a size that the first byte says. The same comes of them in one piece."""
+    size, heard = (data[0] if data else 0) + 1, []
+    for step in (size, len(data) + 1):
+        link, ears = Pipe("peer", 4096), Ears()
+        link.handler = ears
+        for at in range(1, len(data), step):
+            if link.closed:
+                break
+            link.received(data[at : at + step])
+        link.finished(None)
+        heard.append(ears.heard)
+    assert heard[0][:-1] == heard[1][:-1], "what is heard depends on how bytes are split"
+
+
+# -- a whole host ---------------------------------------------------------------------------------------
+
+
+def take_events(data: bytes) -> None:
+    """What a peer that has greeted does to a host: a list of [what, value]."""
+    try:
+        events = unpack(data)
+    except (msgspec.MsgspecError, ValueError, RecursionError):
+        return
+    clock = ManualClock()
+    core = host("alpha", clock, 7)
+    core.start_coordinators(first=True)
+    core.linked(greeting("bravo"))
+    for event in events[:60] if isinstance(events, list) else ():
+        happen(core, clock, event)
+        for _ in range(8):
+            pause = core.run()
+            effects = core.take()
+            no_bug_of_ours(effects)
+            for effect in effects:
+                if hasattr(effect, "message"):
+                    codec.encode(effect.message)
+            if pause != 0.0:
+                break
+    core.hello()
+
+
+def no_bug_of_ours(effects: Sequence[object]) -> None:
+    """Whether an agent ended by what no program can do."""
+    for effect in effects:
+        assert "bug in lfield" not in str(getattr(effect, "text", "")), effect
+
+
+def happen(core: HostCore, clock: ManualClock, event: Any) -> None:
+    """One event; nothing for what is none."""
+    if not (isinstance(event, list) and len(event) == 2):
+        return
+    what, value = event
+    try:
+        if what == 0:
+            hello = msgspec.convert(value, Hello)
+            Greeting(core.hello(), BRAVO, hosts=HOSTS).receive(hello)
+            if hello.role == "host":
+                core.linked(hello)
+        elif what == 1:
+            message: Control = codec.decode(codec.CONTROL, sealed(pack(value)))  # type: ignore[assignment]
+            core.received("bravo", message)
+        elif what == 2 and isinstance(value, list) and len(value) == 2 and isinstance(value[1], bytes):
+            header = msgspec.convert(value[0], Transfer)
+            core.arrived("bravo", header, memoryview(value[1]))
+        elif what == 3:
+            core.unlinked("bravo", quietly=bool(value))
+        elif what == 4 and isinstance(value, int | float) and 0 < value < 1e6:
+            clock.advance(value)
+        elif what == 5:
+            core.told("bravo", msgspec.convert(value, list[Known]))
+        elif what == 6:
+            core.too_large("bravo", msgspec.convert(value, Transfer), 1 << 30)
+        elif what == 7:
+            words_of_a_person(core, value)
+    except (WireError, GreetingError, msgspec.ValidationError):
+        return
+
+
+def words_of_a_person(core: HostCore, value: Any) -> None:
+    """What an observer asks of the core."""
+    message = codec.decode(codec.CONTROL, sealed(pack(value)))
+    match type(message).__name__:
+        case "Forget":
+            core.forget(message.agent)
+        case "Recover":
+            codec.encode(core.recover(message))
+        case "Pause":
+            core.pause(on=not message.lift)
+        case "EmergencyStop":
+            core.stop("" if message.lift else message.reason)
+
+
+# -- a block --------------------------------------------------------------------------------------------
+
+
+def take_block(data: bytes) -> None:
+    """The block of a coordinator from another host: refused, or it runs."""
+    clock = ManualClock()
+    core = host("alpha", clock, 7)
+    core.linked(greeting("bravo"))
+    header = msgspec.structs.replace(transfers()[0][0], size=len(data))
+    core.arrived("bravo", header, memoryview(data))
+    for _ in range(20):
+        pause = core.run()
+        effects = core.take()
+        no_bug_of_ours(effects)
+        clock.advance(pause or 0.0)
+
+
+# -- seeds ----------------------------------------------------------------------------------------------
+
+
+@cache
+def greeting(name: str) -> Hello:
+    """The greeting of a host of the mission."""
+    return host(name, ManualClock(), {"alpha": 7, "bravo": 3}.get(name, 9)).hello()
+
+
+@cache
+def transfers() -> Sequence[tuple[Transfer, bytes]]:
+    """Coordinators that bravo sends to alpha, at several points of their ways."""
+    found: list[tuple[Transfer, bytes]] = []
+    clock = ManualClock()
+    cores = {"alpha": host("alpha", clock, 7), "bravo": host("bravo", clock, 3)}
+    for core, other in ((cores["alpha"], cores["bravo"]), (cores["bravo"], cores["alpha"])):
+        core.start_coordinators(first=True)
+        core.linked(other.hello())
+    for _ in range(2000):
+        pauses = [core.run() for core in cores.values()]
+        for name, core in cores.items():
+            for effect in core.take():
+                to = getattr(effect, "host", "")
+                if isinstance(effect, SendTransfer) and to in cores:
+                    found += [(effect.header, bytes(effect.block))] if to == "alpha" else []
+                    cores[to].arrived(name, effect.header, memoryview(bytes(effect.block)))
+                elif isinstance(effect, Send) and to in cores:
+                    cores[to].received(name, effect.message)
+        clock.advance(min((pause for pause in pauses if pause is not None), default=0.01) + 0.001)
+    return found[:: max(1, len(found) // 12)]
+
+
+def messages() -> list[Any]:
+    """A message of every type as its msgpack's tree, with something in every field."""
+    types = Control.__args__  # type: ignore[attr-defined]
+    return [unpack(pack(example(kind))) for kind in types]
+
+
+def example(kind: type) -> Any:
+    """A struct with a plain value in every field."""
+    return kind(*(_plain(f.type) for f in msgspec.inspect.type_info(kind).fields))
+
+
+def _plain(kind: Any) -> Any:
+    i = msgspec.inspect
+    match kind:
+        case i.IntType():
+            return 3
+        case i.FloatType():
+            return 1.5
+        case i.BoolType():
+            return True
+        case i.StrType():
+            return "tom"
+        case i.BytesType():
+            return mission().program.digest
+        case i.NoneType():
+            return None
+        case i.LiteralType():
+            return sorted(kind.values)[-1]
+        case i.ListType() | i.VarTupleType() | i.SetType():
+            return [_plain(kind.item_type)]
+        case i.TupleType():
+            return tuple(map(_plain, kind.item_types))
+        case i.DictType():
+            return {_plain(kind.key_type): _plain(kind.value_type)}
+        case i.UnionType():
+            return _plain(kind.types[-1] if isinstance(kind.types[-1], i.StructType) else kind.types[0])
+        case i.StructType():
+            return kind.cls(*(_plain(f.type) for f in kind.fields))
+    raise AssertionError(kind)
+
+
+def _event_seeds() -> Sequence[bytes]:
+    hello = [0, unpack(pack(greeting("bravo")))]
+    header, block = transfers()[0]
+    arrival = [2, [unpack(pack(header)), block]]
+    known = unpack(pack(example(Known)))
+    told = [[1, message] for message in messages()]
+    quiet = [pack([event]) for event in told] + [pack([event, [4, 0.5], event]) for event in told]
+    busy = [pack([arrival, event, [4, 11.0], hello]) for event in told]
+    people = [pack([[7, message], [4, 1.0]]) for message in messages()]
+    rest = pack([hello, [5, [known]], [6, arrival[1][0]], [3, 0], [4, 30.0], hello])
+    return [*quiet, *busy, *people, rest, pack([hello, *told])]
+
+
+def _stream_seeds() -> Sequence[bytes]:
+    header, block = transfers()[0]
+    hello = codec.encode(greeting("bravo"))
+    transfer = codec.encode_transfer(header, block) + block
+    controls = [codec.encode(example(kind)) for kind in Control.__args__]  # type: ignore[attr-defined]
+    whole = [hello, hello + transfer, hello + controls[0] + transfer, b"".join((hello, *controls))]
+    return [bytes([size]) + data for data in whole for size in (0, HEADER_SIZE, 250)]
+
+
+def _transfer_seeds() -> Sequence[bytes]:
+    heads = [(pack(header), block) for header, block in transfers()[:3]]
+    return [bytes([len(head)]) + head + block for head, block in heads]
+
+
+def packed(seeds: Callable[[], Sequence[Any]]) -> Callable[[], list[bytes]]:
+    """Values as msgpack."""
+    return lambda: [pack(seed) for seed in seeds()]
+
+
+TARGETS = (
+    Target("stream", _stream_seeds, take_stream, words=(b"lfld",)),
+    Target("greeting", packed(lambda: [greeting("bravo"), greeting("charlie")]), take_greeting, True, WORDS),
+    Target("control", packed(messages), take_control, True, WORDS),
+    Target("transfer", _transfer_seeds, take_transfer),
+    Target("host", _event_seeds, take_events, True, WORDS),
+    Target("block", lambda: [block for _, block in transfers()], take_block),
+)

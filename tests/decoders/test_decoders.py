@@ -1,0 +1,47 @@
+"""No bytes of others make a decoder raise what is no sentence of ours, hang, or take much memory.
+
+`make fuzz-decoders` does the same with as many inputs as one likes.
+"""
+
+from __future__ import annotations
+
+import random
+
+import pytest
+from decoder_corpus import corpus_of
+from decoder_mutations import mutated
+from decoder_target import BYTES, bounded, peak_of
+from decoder_targets import TARGETS
+
+#: Inputs that are made of each decoder's seeds here.
+INPUTS = 60
+
+
+@pytest.mark.parametrize("name", TARGETS)
+def test_what_is_known_is_taken_or_refused_within_its_bounds(name):
+    target = TARGETS[name]
+    target.take(target.good[0])
+    for data in (*target.good[:40], *corpus_of(name)):
+        with bounded():
+            assert peak_of(target, data) < BYTES
+
+
+@pytest.mark.parametrize("name", TARGETS)
+def test_what_is_like_it_is_too(name):
+    target, dice = TARGETS[name], random.Random(name)
+    for _ in range(max(3, INPUTS // target.share)):
+        data = mutated(target, dice.choice(target.good), dice, dice.choice(target.good))
+        with bounded():
+            target.take(data)
+
+
+@pytest.mark.parametrize("name", TARGETS)
+def test_the_same_dice_make_the_same_inputs(name):
+    target = TARGETS[name]
+
+    def made():
+        dice = random.Random(3)
+        return [mutated(target, target.good[0], dice) for _ in range(20)]
+
+    assert made() == made()
+    assert len(set(made())) > 5

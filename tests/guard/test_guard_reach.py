@@ -1,0 +1,168 @@
+"""What a guard may touch, of its endpoint and options; and that a confined process touches no more."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from lfield.driver.binding import DeviceBinding
+from lfield.driver.contract import Manifest, Option
+from lfield.driver.known import KnownDriver
+from lfield.guard.confine import abi, strength
+from lfield.guard.reach import NOTHINGS, SYSTEM, reach
+from lfield.manifest import DeviceManifest
+from lfield.testing.driver_bench import bind, guarded, running_fake
+from lfield_dynamixel import PLUGIN
+
+MANIFEST = Manifest(
+    DeviceManifest("Lamp", "lamp", ()), options=(Option("key", "path", ""), Option("id", "int", 1))
+)
+KNOWN = KnownDriver("lamp", "lfield_lamp:PLUGIN", {"Lamp": MANIFEST}, {}, "")
+
+
+def needed(*endpoints, **options):
+    devices = [
+        DeviceBinding(
+            agent="a",
+            field=f"x{at}",
+            type="Lamp",
+            driver="lamp",
+            endpoint=endpoint,
+            safe_state="",
+            options=options,
+        )
+        for at, endpoint in enumerate(endpoints)
+    ]
+    return reach(devices, KNOWN, ["/code"], "/scratch")
+
+
+def test_a_port_of_the_board_is_the_one_file_that_it_writes():
+    found = needed("serial:/dev/ttyAMA0:57600")
+    assert set(found.writes) == {*NOTHINGS, "/dev/ttyAMA0"}
+    assert (found.folders, found.ports, found.internet, found.runs) == ((), (), False, False)
+    assert found.reads == (*SYSTEM, "/code")
+
+
+def test_what_can_be_unplugged_comes_back_as_another_file_of_its_folder(tmp_path):
+    (tmp_path / "by-id").symlink_to("/dev/ttyUSB7")
+    for endpoint in ("slcan:/dev/ttyACM0@115200?bitrate=500000", f"serial:{tmp_path}/by-id:57600"):
+        found = needed(endpoint)
+        assert (found.folders, found.internet) == (("/dev",), False)
+
+
+@pytest.mark.parametrize(
+    ("endpoint", "ports", "internet"),
+    [
+        ("socketcan:can0", (), False),
+        ("tcp:10.0.0.7:5760", (5760,), True),
+        ("socketcand:10.0.0.7:29536/can0", (29536,), True),
+        ("udpin:0.0.0.0:14550", (), True),
+        ("udp:10.0.0.7:14550, tcp:10.0.0.7:5760", (5760,), True),
+    ],
+)
+def test_the_network_as_far_as_the_endpoint_says(endpoint, ports, internet):
+    found = needed(endpoint)
+    assert (found.ports, found.internet, found.runs, found.folders) == (ports, internet, False, ())
+
+
+def test_what_an_endpoint_of_an_unknown_kind_needs_nobody_knows():
+    found = needed("process:")
+    assert (found.ports, found.internet, found.runs, found.folders) == (
+        None,
+        True,
+        True,
+        ("/dev", "/scratch"),
+    )
+    assert "/code" in found.reads
+
+
+def test_a_file_of_an_option_is_read_and_its_folder_written_where_this_user_may(tmp_path):
+    found = needed("serial:/dev/ttyS0:57600", key=str(tmp_path / "signing.key"))
+    assert str(tmp_path / "signing.key") in found.reads
+    assert found.folders == (str(tmp_path),)
+    assert needed("serial:/dev/ttyS0:57600", key="/no/such/folder/key").folders == ()
+    (tmp_path / "keys").mkdir()
+    found = needed("serial:/dev/ttyS0:57600", key=str(tmp_path / "signing.key"))
+    assert (found.reads[-1], found.folders) == (str(tmp_path / "signing.key"), ())
+
+
+TRIES = """
+import json, os, socket, sys
+from lfield.guard.confine import confine
+from lfield.guard.reach import Reach
+
+folder = sys.argv[1]
+code = ("/usr", "/lib", "/proc", *filter(None, sys.path), sys.prefix, sys.base_prefix)
+confine(Reach(code, ("/dev/null", f"{folder}/own"), (f"{folder}/mine",)))
+
+def tried(what):
+    try:
+        what()
+    except OSError as error:
+        return type(error).__name__
+    return "done"
+
+def write(path):
+    with open(path, "wb") as file:
+        file.write(b"x")
+
+print(json.dumps({
+    "own device": tried(lambda: write(f"{folder}/own")),
+    "own folder": tried(lambda: write(f"{folder}/mine/new")),
+    "code": tried(lambda: open(os.__file__).close()),
+    "another device": tried(lambda: write(f"{folder}/other")),
+    "a key": tried(lambda: open(f"{folder}/host.key").close()),
+    "a new file": tried(lambda: write(f"{folder}/new")),
+    "to remove": tried(lambda: os.unlink(f"{folder}/other")),
+    "another program": tried(lambda: os.posix_spawn("/usr/bin/env", ["env"], {})),
+    "a signal": tried(lambda: os.kill(os.getppid(), 0)),
+    "its own signal": tried(lambda: os.kill(os.getpid(), 0)),
+    "internet": tried(lambda: socket.socket(socket.AF_INET, socket.SOCK_DGRAM).close()),
+    "a Unix socket": tried(lambda: socket.socketpair()[0].close()),
+    "memory of its host": tried(lambda: open(f"/proc/{os.getppid()}/mem", "rb").close()),
+}))
+"""
+
+
+@pytest.mark.skipif(abi() < 6, reason="this kernel's Landlock is older than the facts that are tried")
+def test_a_confined_process_touches_what_it_may_and_nothing_else(tmp_path):
+    for name in ("own", "other", "host.key"):
+        (tmp_path / name).write_bytes(b"secret")
+    (tmp_path / "mine").mkdir()
+    words = [sys.executable, "-c", TRIES, str(tmp_path)]
+    done = subprocess.run(words, capture_output=True, text=True, timeout=60)
+    assert done.returncode == 0, done.stderr
+    found = json.loads(done.stdout)
+    may = {"own device", "own folder", "code", "its own signal", "a Unix socket"}
+    assert {what for what, became in found.items() if became == "done"} == may, found
+    assert found["internet"] == "OSError"
+    assert (tmp_path / "other").read_bytes() == b"secret"
+    assert strength()[1] == ""
+
+
+@pytest.mark.process
+@pytest.mark.skipif(not abi(), reason="this kernel has no Landlock")
+def test_a_guard_has_no_file_of_its_host_and_no_internet_for_a_serial_port(tmp_path):
+    (tmp_path / "host.key").write_text("secret")
+    with running_fake("dynamixel") as fake, (tmp_path / "host.key").open() as held:
+        os.set_inheritable(held.fileno(), True)
+
+        async def story():
+            bound = bind(PLUGIN, "Dynamixel", endpoint=fake.endpoint, waivers=["no_homing"])
+            async with guarded(bound) as (joint,):
+                guard = Path(f"/proc/{joint.guard_pid}")
+                files = {os.readlink(entry) for entry in (guard / "fd").iterdir()}
+                status = (guard / "status").read_text()
+                return files, status
+
+        files, status = asyncio.run(story())
+    assert not any(str(tmp_path) in name for name in files), files
+    assert re.search(r"NoNewPrivs:\t1\n", status)
+    assert re.search(r"Seccomp:\t2\n", status)

@@ -1,0 +1,260 @@
+"""Whoever calls a host in the matrix, and a host that notes what it was brought to do."""
+
+from __future__ import annotations
+
+import asyncio
+import random
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import pytest
+from attacker import Attacker, context
+from certificates import Team, made
+from msgspec.structs import replace
+
+from lfield.authority.admission import Judged
+from lfield.authority.believed import BelievedTime
+from lfield.authority.identity import Right, uri_of
+from lfield.authority.keys import Keys
+from lfield.authority.reading import revoked_in
+from lfield.clock import ManualClock
+from lfield.mission.access.rules import Access, Person
+from lfield.net.door import ROOT, local
+from lfield.net.peers import Peers
+from lfield.net.tcp import TcpTransport
+from lfield.net.tls import Tls
+from lfield.net.transport import Link
+from lfield.wire.codec import encode, encode_transfer
+from lfield.wire.coordinators import Ended, Transfer
+from lfield.wire.messages import AgentReport, Control, Hello, Message, Ping, Report, Revocations, Role
+from lfield.wire.observing import EmergencyStop, Forget, Pause, Recover, StatusRequest
+from lfield.wire.quorum import Propose
+from lfield.wire.reservations import Renew
+
+#: Seconds since 1970 UTC: the certificates of `Team` are from 2026 to 2099.
+NOW = 1_795_464_000.0
+HOSTS, ADDRESSES = ("alpha", "bravo", "charlie"), ("127.0.0.1:1", "127.0.0.1:2", "127.0.0.1:3")
+OWN = Hello("host", "alpha", 7, b"p" * 32, b"d" * 32, 1 << 16)
+BLOCK = b"block"
+HOP = Transfer("tom", 1, 2, 3, b"p" * 32, 7, len(BLOCK))
+TOKEN = 77
+#: What is sent, by column: to whom only hosts say it, and what commands say.
+SAID_BY_HOSTS: dict[str, Message] = {
+    "ended": Ended("tom", 1, "done", "", "bravo"),
+    "report": Report(9, 0, 1, [AgentReport(0, "", None, [], [])]),
+    "bar": Propose("tom", 9),
+    "renew": Renew("arm", 1, "tom", 1),
+}
+SAID_BY_COMMANDS: dict[str, Message] = {
+    "ps": StatusRequest(),
+    "estop": EmergencyStop("why"),
+    "lift": EmergencyStop("", lift=True),
+    "pause": Pause(),
+    "resume": Pause(lift=True),
+    "forget": Forget("tom"),
+    "recover": Recover("tom", 1, 2, 3),
+}
+#: What the mission says of persons.
+RULES = Access("mission.access.yaml", (Person("maria", (Right.OBSERVE,), 2), Person("nina", (), 3)))
+#: A member of the group lfield, and whoever is in no group of ours: numbers of users and groups.
+GROUP, USER, OWNER, OTHER = 900, 1001, 1000, 1002
+
+
+class Noted:
+    """A host without anything in it, that notes what its links let through."""
+
+    def __init__(self) -> None:
+        self.linked_with: list[str] = []
+        self.done: list[object] = []
+
+    def hello(self) -> Hello:
+        return OWN
+
+    def linked(self, hello: Hello) -> None:
+        self.linked_with.append(hello.host)
+
+    def unlinked(self, host: str, *, quietly: bool) -> None:
+        pass
+
+    def wanted(self) -> tuple[str, ...]:
+        return ()
+
+    def received(self, host: str, message: Control, link: Link) -> None:
+        # What only hosts say counts from a host alone, and a command is no word of a host.
+        if bool(host) == (message in SAID_BY_HOSTS.values()):
+            self.done.append(message)
+
+    def arrived(self, host: str, header: Transfer, block: memoryview) -> None:
+        self.done.append(header)
+
+    def too_large(self, host: str, header: Transfer, size: int) -> None:
+        self.done.append(header)
+
+    def note(self, text: str) -> None:
+        pass
+
+    def forget(self) -> None:
+        """As if nothing had been."""
+        self.linked_with.clear()
+        self.done.clear()
+
+
+@dataclass(frozen=True)
+class Caller:
+    """What somebody shows, and calls itself. `keys` None is no certificate, without `tls` there is no TLS.
+
+    Who `replays` makes a good link, and then sends the same bytes again on another one.
+    """
+
+    keys: Keys | None
+    calls_itself: str = "bravo"
+    tls: bool = True
+    program: bytes = OWN.program
+    bent: Callable[[int, bytes], bytes] = lambda number, data: data
+    replays: bool = False
+
+    def hello(self, role: Role, name: str = "") -> Hello:
+        """Its greeting: as a host it fits the other one's own, and a command says nothing of a mission."""
+        if role == "observer":
+            return Hello("observer", name or "observer", 99)
+        return replace(OWN, host=name or self.calls_itself, incarnation=99, program=self.program)
+
+
+class Network:
+    """One team, another one, and everybody who might call host alpha of the first."""
+
+    def __init__(self) -> None:
+        self.team, self.other = Team(), Team()
+        self.alpha = self.team.host("alpha")
+        self._revoked = (self.team.host("bravo"), self.team.person("carl", *Right))
+        self.list = self.team.revoked(1, *self._revoked)
+        self.newer = self.team.revoked(2, *self._revoked)
+        self.forged = self.other.revoked(9, self.alpha)
+
+    @cached_property
+    def callers(self) -> dict[str, Caller]:
+        """The rows."""
+        team, ended = self.team, NOW - 60.0
+        person = team.person
+        alone = made("bravo", [uri_of("host", "bravo")])
+        return {
+            "host": Caller(team.host("bravo")),
+            "later": Caller(team.host("bravo")),
+            "bundle": Caller(team.host("bravo"), program=b"q" * 32),
+            "outsider": Caller(team.host("delta"), "delta"),
+            "named": Caller(team.host("charlie")),
+            "ended": Caller(team.host("bravo", end=ended)),
+            "revoked": Caller(self._revoked[0]),
+            "foreign": Caller(self.other.host("bravo")),
+            "selfsigned": Caller(team.with_(alone)),
+            "nameless": Caller(team.odd()),
+            "twofold": Caller(team.odd(uri_of("host", "bravo"), uri_of("host", "charlie"))),
+            "bare": Caller(None),
+            "plain": Caller(None, tls=False),
+            "replay": Caller(team.host("bravo"), replays=True),
+            "bent": Caller(team.host("bravo"), bent=_bent),
+            "observer": Caller(person("anna", Right.OBSERVE)),
+            "stopper": Caller(person("anna", Right.OBSERVE, Right.STOP)),
+            "operator": Caller(person("anna", Right.OBSERVE, Right.STOP, Right.OPERATE)),
+            "commander": Caller(person("anna", Right.COMMAND)),
+            "everything": Caller(person("anna", *Right)),
+            "namesake": Caller(person("bravo", *Right)),
+            "narrowed": Caller(person("maria", *Right)),
+            "left": Caller(person("nina", *Right)),
+            "person_ended": Caller(person("anna", *Right, end=ended)),
+            "person_revoked": Caller(self._revoked[1]),
+            "person_foreign": Caller(self.other.person("anna", *Right)),
+        }
+
+    def tried(self, who: str, what: str) -> bool:
+        """Whether a host did what somebody tried over the network."""
+        return any(asyncio.run(self._try(self.callers[who], what, role, "")) for role in _roles(what))
+
+    def tried_at_the_door(self, who: str, what: str, monkeypatch: pytest.MonkeyPatch, folder: Path) -> bool:
+        """The same of a user of this computer at the host's Unix socket."""
+        user, groups = {
+            "same": (OWNER, set[int]()),
+            "root": (ROOT, {ROOT}),
+            "member": (USER, {GROUP}),
+            "user": (OTHER, {OTHER}),
+        }[who]
+        identity = local(user, groups, OWNER, GROUP)
+        monkeypatch.setattr("lfield.net.stream.caller_at", lambda made: identity)
+        caller = Caller(None, tls=False)
+        return any(
+            asyncio.run(self._try(caller, what, role, f"unix:{folder}/{role}")) for role in _roles(what)
+        )
+
+    async def _try(self, caller: Caller, what: str, role: Role, door: str) -> bool:
+        """One link that greets in a role and says one thing; whether it had what it wanted."""
+        noted, clock, tls = Noted(), ManualClock(NOW), Tls(self.alpha)
+        revoked = revoked_in(self.list, self.team.authority.certificate)
+        admission = Judged(self.alpha, tls.own(), BelievedTime(clock), revoked, self.list)
+        admission.barred = RULES.barred
+        transport, dice = TcpTransport(1 << 16, tls), random.Random(1)
+        peers = Peers(noted, transport, clock, dice, HOSTS, ADDRESSES, 0, (), admission)
+        address = await peers.open("127.0.0.1:0")
+        if door:
+            await peers.open_door(door)
+        try:
+            words = self._words(caller.hello(role, "charlie" if what == "other" else ""), what)
+            attacker = await _said(caller, door or address, words)
+            if caller.replays:
+                noted.forget()
+                admission.revoked, admission.list, admission.number = revoked, self.list, revoked.number
+                attacker = await _repeated(address, attacker.sent)
+            return self._had(what, attacker, noted, admission)
+        finally:
+            peers.close()
+
+    def _words(self, hello: Hello, what: str) -> list[bytes]:
+        said = [encode(hello)]
+        if what == "hop":
+            said.append(encode_transfer(HOP, BLOCK) + BLOCK)
+        elif what in ("list", "forged"):
+            said.append(encode(Revocations(self.newer if what == "list" else self.forged)))
+        elif what in SAID_BY_HOSTS or what in SAID_BY_COMMANDS:
+            said.append(encode({**SAID_BY_HOSTS, **SAID_BY_COMMANDS}[what]))
+        return [*said, encode(Ping(TOKEN))]
+
+    def _had(self, what: str, attacker: Attacker, noted: Noted, admission: Judged) -> bool:
+        if what == "hear":
+            return attacker.greeted
+        if what == "other":
+            return "charlie" in noted.linked_with
+        if what in ("list", "forged"):
+            return admission.list != self.list
+        wanted = HOP if what == "hop" else {**SAID_BY_HOSTS, **SAID_BY_COMMANDS}[what]
+        return wanted in noted.done
+
+
+async def _said(caller: Caller, address: str, words: list[bytes]) -> Attacker:
+    """A link on which these words are said, until the host has heard all or hangs up."""
+    attacker = Attacker(context(caller.keys) if caller.tls else None, caller.bent)
+    await attacker.open(address)
+    for word in words:
+        await attacker.say(word)
+    await attacker.listen(TOKEN)
+    await attacker.hang_up()
+    return attacker
+
+
+async def _repeated(address: str, pieces: list[bytes]) -> Attacker:
+    """Another link, on which the bytes of an earlier one are sent again."""
+    attacker = Attacker(None)
+    await attacker.open(address)
+    await attacker.repeat(pieces)
+    await attacker.listen(TOKEN)
+    await attacker.hang_up()
+    return attacker
+
+
+def _roles(what: str) -> tuple[Role, ...]:
+    return ("host",) if what == "other" else ("host", "observer")
+
+
+def _bent(number: int, data: bytes) -> bytes:
+    """One bit of the first words after the handshake, which is three pieces at most."""
+    return data[:-9] + bytes([data[-9] ^ 1]) + data[-8:] if number == 2 else data

@@ -1,0 +1,60 @@
+"""Folders with keys, good ones and others, as they are given to a host that starts."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+from callers import NOW
+from certificates import Team, made
+
+from lfield.authority import folder
+from lfield.authority.identity import Right, uri_of
+from lfield.authority.keys import Keys, certificate_name, key_name
+from lfield.clock import ManualClock
+from lfield.errors import LfieldError
+from lfield.host.process.proving import Proof, admitted
+
+DAY = 86400.0
+#: By column: which host starts, and for how many seconds.
+STARTS = {"alpha": ("alpha", 3600.0), "bravo": ("bravo", 3600.0), "long": ("alpha", 10 * DAY)}
+
+
+class Folders:
+    """A folder for each row."""
+
+    def __init__(self, base: Path) -> None:
+        self._base, team, other = base, Team(), Team()
+        alpha, bravo = team.host("alpha"), team.host("bravo")
+        anna = team.person("anna", *Right)
+        soon, ended = team.host("alpha", end=NOW + 5 * DAY), team.host("alpha", end=NOW - DAY)
+        found: dict[str, Keys] = {
+            "good": alpha,
+            "early": alpha,
+            "soon": soon,
+            "ended": ended,
+            "revoked": replace(alpha, revoked=team.revoked(1, alpha)),
+            "other_list": replace(alpha, revoked=other.revoked(1)),
+            "readable": alpha,
+            "other_host": bravo,
+            "person": replace(anna, holder="host"),
+            "mixed": replace(alpha, key=bravo.key),
+            "selfsigned": team.with_(made("alpha", [uri_of("host", "alpha")])),
+            "foreign": replace(other.host("alpha"), authority=team.authority.certificate),
+            "cut": replace(alpha, key=alpha.key[: len(alpha.key) // 2]),
+        }
+        for name, keys in found.items():
+            folder.write(base / name, keys)
+            assert (base / name / certificate_name("host")).is_file()
+        (base / "readable" / key_name("host")).chmod(0o640)
+
+    def tried(self, who: str, what: str) -> bool:
+        """Whether a host starts with that folder."""
+        host, lasts = STARTS[what]
+        try:
+            keys = folder.read(self._base / who, "host")
+            clock = ManualClock(1000.0 if who == "early" else NOW)
+            admitted(Proof(keys, (self._base / who,), lasts), host, clock, ())
+        except LfieldError:
+            return False
+        return True

@@ -1,0 +1,90 @@
+"""Who may do what over which way (security.yaml), as cells, and as the page of the documentation."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+import yaml
+
+HERE = Path(__file__).parent
+TABLE, PAGE = HERE / "security.yaml", HERE.parents[1] / "lfield" / "docs" / "security-matrix.md"
+#: How the page shows what a cell says: done, refused, and what is not as it should be yet.
+SHOWN = {"y": "yes", "n": "–", "!": "**yes, not yet refused**", "?": "**–, not yet done**"}
+
+
+@dataclass(frozen=True, slots=True)
+class Cell:
+    """Somebody who tries something over a way; `done` says whether that should be."""
+
+    way: str
+    who: str
+    what: str
+    done: bool
+    #: Whether it is so today.
+    kept: bool
+
+    @property
+    def name(self) -> str:
+        """What it is called in a list of cells."""
+        return f"{self.way}-{self.who}-{self.what}"
+
+
+@dataclass(frozen=True, slots=True)
+class Way:
+    """A way to a host: the words of its columns and rows, and the cells."""
+
+    name: str
+    title: str
+    text: str
+    columns: Mapping[str, str]
+    rows: Mapping[str, tuple[str, str]]
+
+    def cells(self) -> Iterator[Cell]:
+        """Every cell, row by row."""
+        for who, (_, marks) in self.rows.items():
+            for what, mark in zip(self.columns, marks, strict=True):
+                yield Cell(self.name, who, what, done=mark in "y?", kept=mark in "yn")
+
+
+@cache
+def ways() -> tuple[Way, ...]:
+    """The table."""
+    read = yaml.safe_load(TABLE.read_text(encoding="utf-8"))
+    return tuple(
+        Way(
+            name,
+            given["title"],
+            given["text"],
+            given["columns"],
+            {who: (row[0], row[1].replace(" ", "")) for who, row in given["rows"].items()},
+        )
+        for name, given in read.items()
+    )
+
+
+def cells() -> list[Cell]:
+    """Every cell of every way."""
+    return [cell for way in ways() for cell in way.cells()]
+
+
+def page() -> str:
+    """The table as a page in Markdown."""
+    every = cells()
+    lines = [
+        "# The security matrix",
+        "",
+        "Made of [the table](../../tests/matrix/security.yaml) by `python tests/matrix/page.py --write`.",
+        "A test tries every cell against the links, doors and bundles that hosts have.",
+        "",
+        f"{len(every)} cells, {sum(cell.kept for cell in every)} of them as they should be.",
+    ]
+    for way in ways():
+        lines += ["", f"## {way.title}", "", way.text.strip(), ""]
+        lines += [f"- **{short}**: {words}" for short, words in way.columns.items()]
+        lines += ["", f"| | {' | '.join(way.columns)} |", f"|---{'|---' * len(way.columns)}|"]
+        for words, marks in way.rows.values():
+            lines.append(f"| {words} | {' | '.join(SHOWN[mark] for mark in marks)} |")
+    return "\n".join(lines) + "\n"
