@@ -16,6 +16,7 @@ from lfield.authority.identity import ALL
 from lfield.clock import ManualClock
 from lfield.errors import AddressError, GreetingError, WireError
 from lfield.net.door import local
+from lfield.net.stream import FOR_OBSERVERS
 from lfield.net.tcp import TcpTransport, refusal
 from lfield.net.tls import Tls
 from lfield.net.transport import join_address, split_address
@@ -221,6 +222,29 @@ def test_whoever_calls_knows_at_once_who_is_there(tls):
     assert str(pair.far.link.who) == "host alpha"
 
 
+class Counted:
+    """A transport of asyncio, and how often something was written to it."""
+
+    def __init__(self, transport) -> None:
+        self._transport, self.writes = transport, 0
+
+    def write(self, data) -> None:
+        self.writes += 1
+        self._transport.write(data)
+
+    def __getattr__(self, name: str):
+        return getattr(self._transport, name)
+
+
+def test_a_hop_in_tls_is_one_write(tls):
+    pair = Pair(tls)
+    counted = pair.link._transport = Counted(pair.link._transport)
+    for number, size in enumerate((0, 1000, 64 << 10), 1):
+        pair.link.send_transfer(transfer(size, number), bytes(size))
+        assert counted.writes == number
+    tls.until(lambda: len(pair.far.heard) == 3)
+
+
 def test_two_authorities_have_no_link():
     loop = new_loop("asyncio")
     ours, theirs = TlsBench(loop), TlsBench(loop)
@@ -303,6 +327,17 @@ def test_a_peer_that_does_not_read_is_given_up():
     bench.close()
     assert isinstance(near.ends[0], WireError)
     assert "does not read" in str(near.ends[0])
+
+
+@pytest.mark.parametrize(("role", "most"), [("observer", FOR_OBSERVERS), ("host", 5 << 20)])
+def test_less_is_held_for_whoever_only_looks(tcp, role, most):
+    pair = Pair(tcp, role=role)
+    pair.link._transport.pause_reading()
+    while not pair.far.link.closed:
+        pair.far.link.send_transfer(transfer(MAX_BLOCK), bytes(MAX_BLOCK))
+    tcp.until(lambda: bool(pair.far.ends))
+    assert f"does not read: over {most} bytes wait for it" in str(pair.far.ends[0])
+    pair.link.abort()
 
 
 def test_a_connection_that_is_reset_says_so(tcp):
