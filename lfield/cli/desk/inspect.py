@@ -123,7 +123,8 @@ def _show_mission(file: Path) -> int:
         data = bundle.encode(mission)
     found = bundle.contents(data)
     print(f"bundle    {found.digest.hex()[:16]} of {mission.name}")
-    print(f"signed    {_signed(found)}")
+    if file.suffix == bundle.SUFFIX:
+        print(f"signed    {_signed(found)}")
     for part in found.table:
         print(f"          {part.name:<9}{part.size:>9} bytes  {part.digest.hex()[:16]}")
     for number, host in enumerate(mission.team.hosts):

@@ -39,7 +39,7 @@ REACHED: dict[tuple[str, int], tuple[str, str]] = {
     ("inspect", 66): ("inspect none.block", "cannot read none.block"),
     ("up", 65): ("up mission.dL --devices latin.yaml --host alpha", "latin.yaml:1:4: error["),
     ("up", 66): ("up none.lfm --host alpha", "cannot read none.lfm"),
-    ("up", 69): ("up mission.dL --host alpha --map alpha=no.such.host.invalid:1", "leads to no address"),
+    ("up", 69): ("up mission.dL --host alpha --map alpha=no.such.host.invalid:1", "cannot use no.such.host"),
     ("up", 73): ("up mission.dL --all --dump mission.L", "cannot write mission.L: it is not a folder"),
     ("ps", 65): ("ps latin.lfm", "not a sound bundle"),
     ("ps", 66): ("ps none.lfm", "cannot read none.lfm"),
@@ -129,6 +129,8 @@ def test_every_exception_has_a_status_of_the_table() -> None:
 @pytest.fixture
 def files(lfield):
     """Good files, and files of every kind with a byte that is no UTF-8."""
+    # Only a host that has keys listens anywhere.
+    lfield.keys.give("alpha")
     lfield.mission(GOOD, DEPLOYMENT)
     lfield.mission(FLIES, "//Sky:sky@alpha\n", name="sky")
     bound = "agents: {sky: {devices: {fc: {driver: mavlink, endpoint: 'serial:none:57600'}}}}\n"
