@@ -16,7 +16,6 @@ import signal
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
-from tempfile import gettempdir
 
 from lfield import exits, loop
 from lfield.clock import SystemClock
@@ -27,6 +26,7 @@ from lfield.guard.messages import MAX_PAYLOAD, MessageReader, Open
 from lfield.guard.reach import Reach, reach
 from lfield.guard.shell import Shell
 from lfield.text.outlet import never_waiting
+from lfield.text.private import temporary_folder
 from lfield.wire.framing import size_of
 
 
@@ -66,7 +66,9 @@ def keep_to(first: bytes) -> None:
         for message in MessageReader().feed(first):
             if isinstance(message, Open):
                 code = {*sys.path, sys.prefix, sys.base_prefix, *_packages()}
-                needed = reach(message.devices, message.driver, filter(os.path.isabs, code), gettempdir())
+                needed = reach(
+                    message.devices, message.driver, filter(os.path.isabs, code), str(temporary_folder())
+                )
                 _confine(needed)
 
 
