@@ -318,6 +318,15 @@ class HostFailure(LfieldError):
         )
 
 
+class NoEngine(LfieldError):
+    """Why wasmtime, which is installed, runs nothing here; the reference engine does."""
+
+    def __init__(self, cause: BaseException) -> None:
+        self.cause = cause
+        why = str(cause).partition("\n")[0] or "there is not memory enough"
+        super().__init__(f"wasmtime cannot be used: {why}")
+
+
 class PluginError(LfieldError):
     """A driver plugin that is unknown, broken, or lacks its vendor library."""
 

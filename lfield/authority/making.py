@@ -9,13 +9,11 @@ can pass for a host. Who makes them gives the time: no clock is read here.
 from __future__ import annotations
 
 import datetime
-import hashlib
 import math
 from collections.abc import Iterable
 from typing import NamedTuple
 
 from cryptography import x509
-from cryptography.exceptions import UnsupportedAlgorithm
 from cryptography.hazmat.primitives import serialization
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey, Ed25519PublicKey
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
@@ -23,6 +21,7 @@ from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 from lfield.authority.identity import MAX_NAME, Right, uri_of
 from lfield.authority.judge import Revoked
 from lfield.authority.keys import MAX_LIST, Holder
+from lfield.authority.pem import certificate_in, fingerprint_of, private_in, public_in
 from lfield.errors import KeysError
 
 #: The last second that a certificate can tell.
@@ -139,42 +138,6 @@ def read_authority(certificate: bytes, key: bytes) -> Authority:
     if fingerprint_of(public_in(read)) != fingerprint_of(private.public_key()):
         raise KeysError("authority.key is not the key of authority.pem: put back both of one copy")
     return Authority(read, private)
-
-
-def certificate_in(pem: bytes) -> x509.Certificate:
-    """The first certificate in a PEM text. Raises KeysError."""
-    try:
-        return x509.load_pem_x509_certificate(pem)
-    except (ValueError, x509.InvalidVersion):
-        raise KeysError("it is no certificate (PEM); copy it again from the authority's folder") from None
-
-
-def private_in(pem: bytes) -> Ed25519PrivateKey:
-    """The private key in a PEM text. Raises KeysError."""
-    try:
-        key = serialization.load_pem_private_key(pem, None)
-    except (ValueError, TypeError, UnsupportedAlgorithm):
-        raise KeysError("it is no private key (PEM, no password); copy it again") from None
-    if not isinstance(key, Ed25519PrivateKey):
-        raise KeysError("it is no Ed25519 key, which all keys of lfield are; make keys with 'lfield keys'")
-    return key
-
-
-def fingerprint_of(public: Ed25519PublicKey) -> str:
-    """SHA-256 of a public key (its SubjectPublicKeyInfo), in hex."""
-    info = public.public_bytes(serialization.Encoding.DER, serialization.PublicFormat.SubjectPublicKeyInfo)
-    return hashlib.sha256(info).hexdigest()
-
-
-def public_in(certificate: x509.Certificate) -> Ed25519PublicKey:
-    """The public key of a certificate. Raises KeysError."""
-    try:
-        public = certificate.public_key()
-    except (ValueError, UnsupportedAlgorithm):
-        public = None
-    if not isinstance(public, Ed25519PublicKey):
-        raise KeysError("it is no certificate of an Ed25519 key; make certificates with 'lfield keys'")
-    return public
 
 
 def _own_certificate(key: Ed25519PrivateKey, at: float, ends: float) -> x509.Certificate:

@@ -6,10 +6,6 @@ Everything may be from anywhere: sizes are bounded, and whatever is wrong with i
 
 from __future__ import annotations
 
-import warnings
-from collections.abc import Callable
-from typing import TypeVar
-
 from cryptography import x509
 from cryptography.exceptions import InvalidSignature, UnsupportedAlgorithm
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
@@ -18,10 +14,10 @@ from cryptography.hazmat.primitives.serialization import Encoding
 from lfield.authority.identity import Identity, from_uris
 from lfield.authority.judge import Revoked
 from lfield.authority.keys import MAX_LIST, MAX_PEM, Keys
-from lfield.authority.making import certificate_in, fingerprint_of, private_in, public_in
+from lfield.authority.pem import certificate_in, fingerprint_of, private_in, public_in, sound
 from lfield.errors import KeysError
 
-Read = TypeVar("Read")
+_CERTIFICATE = "the certificate cannot be read: copy it again"
 
 
 def identity_in(certificate: bytes, authority: bytes) -> Identity:
@@ -38,7 +34,7 @@ def certificate_in_der(data: bytes) -> x509.Certificate:
     """A certificate in DER. Raises KeysError."""
     if len(data) > MAX_PEM:
         raise KeysError("the certificate is too large")
-    read = _sound("the certificate", lambda: x509.load_der_x509_certificate(data))
+    read = sound(_CERTIFICATE, lambda: x509.load_der_x509_certificate(data))
     if not _ends_with(data, read.signature):
         raise KeysError("the certificate is not as lfield makes it: copy it again")
     return read
@@ -68,7 +64,7 @@ def identity_of_certificate(certificate: x509.Certificate, authority: bytes) -> 
         raise KeysError(
             f"the certificate is not of this authority ({ours}): give everybody keys of one authority"
         ) from None
-    return _sound("the certificate", lambda: _named(certificate, fingerprint_of(public_in(trusted))))
+    return sound(_CERTIFICATE, lambda: _named(certificate, fingerprint_of(public_in(trusted))))
 
 
 def fingerprint_in(authority: bytes) -> str:
@@ -81,7 +77,7 @@ def revoked_in(data: bytes, authority: bytes) -> Revoked:
     if len(data) > MAX_LIST:
         raise KeysError("the revocation list is too large")
     public = public_in(certificate_in(authority))
-    return _sound("the revocation list", lambda: _listed(data, public))
+    return sound("the revocation list cannot be read: copy it again", lambda: _listed(data, public))
 
 
 def checked(keys: Keys) -> Identity:
@@ -123,16 +119,3 @@ def _listed(data: bytes, public: Ed25519PublicKey) -> Revoked:
 def _ends_with(data: bytes, signature: bytes) -> bool:
     """Whether the bits of an Ed25519 signature end it, none of them unused: how many are is not signed."""
     return data.endswith(b"\x03\x41\x00" + signature)
-
-
-def _sound(what: str, read: Callable[[], Read]) -> Read:
-    """What is read, or the sentence that it cannot be."""
-    try:
-        # What it only warns of, lfield does not make.
-        with warnings.catch_warnings(action="error"):
-            return read()
-    except KeysError:
-        raise
-    # What cryptography raises for bytes that it cannot read has no common base.
-    except Exception as error:
-        raise KeysError(f"{what} cannot be read ({error}): copy it again") from None

@@ -18,7 +18,7 @@ from msgspec import Meta
 
 from lfield.authority.identity import Identity, Right
 from lfield.authority.keys import MAX_PEM, Keys
-from lfield.authority.making import private_in
+from lfield.authority.pem import private_in
 from lfield.authority.reading import certificate_in_der, checked, der_of, identity_in_der, is_signed_by
 from lfield.errors import KeysError, SignatureError
 

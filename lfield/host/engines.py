@@ -6,13 +6,14 @@ import os
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
+from typing import cast
 
 from lfield.bytecode.program import Program
-from lfield.errors import OutputFileError, UsageError
+from lfield.errors import NoEngine, OutputFileError, UsageError
 from lfield.text.private import read_private, write_private
 from lfield.vm.contract import Engine, Engines
 from lfield.vm.reference import Engine as Reference
-from lfield.vm.wasm.choice import MISSING, has_wasm
+from lfield.vm.wasm.choice import MISSING, has_wasm, wasm_engine
 
 #: Larger than the code of any program.
 _MOST = 256 << 20
@@ -34,14 +35,12 @@ def engines_for(choice: str, note: Note) -> Engines:
 
     def make(program: Program, now: Callable[[], float]) -> Engine:
         try:
-            from lfield.vm.wasm.engine import Engine as Wasm
-
-            return Wasm(program, now, UserCache(code_folder(), note))
-        except (ImportError, OSError, MemoryError) as error:
-            # A wheel of another system, or a limit of addresses that leaves no room.
+            with wasm_engine() as wasm:
+                return cast(Engine, wasm.Engine(program, now, UserCache(code_folder(), note)))
+        except NoEngine as unusable:
             if choice == "wasm":
-                raise UsageError(f"the engine in WebAssembly cannot be used: {error}") from None
-            note(f"the reference engine runs the program: {error}")
+                raise UsageError(str(unusable)) from None
+            note(f"the reference engine runs the program: {unusable}")
             return Reference(program, now)
 
     return make
@@ -73,7 +72,7 @@ class UserCache:
         except FileNotFoundError:
             return None
         except OSError as error:
-            self._note(f"the program is compiled again: {self._folder / name}: {error.strerror or error}")
+            self._note(f"machine code is made again: {self._folder / name}: {error.strerror or error}")
             return None
 
     def put(self, name: str, data: bytes) -> None:
@@ -84,7 +83,7 @@ class UserCache:
 
     def damaged(self, name: str, reason: str) -> None:
         """Say it in the log: the file is written again."""
-        self._note(f"the program is compiled again: {self._folder / name}: {reason}")
+        self._note(f"machine code is made again: {self._folder / name}: {reason}")
 
     def _prune(self) -> None:
         with suppress(OSError):

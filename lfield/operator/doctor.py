@@ -27,9 +27,9 @@ from lfield.driver.binding import DeviceBinding
 from lfield.driver.known import Drivers
 from lfield.driver.plugin import load_plugin
 from lfield.driver.plugins import Plugins
-from lfield.errors import DevicesError
+from lfield.errors import DevicesError, NoEngine
 from lfield.guard.confine import strength
-from lfield.vm.wasm.choice import has_wasm
+from lfield.vm.wasm.choice import has_wasm, wasm_engine
 
 #: Serial ports that robots have: USB adapters, boards with native USB, the pins of a Raspberry Pi or Jetson.
 PORTS = ("ttyUSB*", "ttyACM*", "ttyAMA*", "ttyTHS*", "serial0")
@@ -73,11 +73,12 @@ def engine() -> Finding:
             "note", what, "pip install 'lfield[wasm]': loops and calls run a hundred times as fast"
         )
     try:
-        version = importlib.metadata.version("wasmtime")
-        importlib.import_module("wasmtime")
-    except (ImportError, OSError) as error:
-        return Finding("warning", f"wasmtime cannot be used: {error}", "install it again for this processor")
-    return Finding("ok", f"wasmtime {version} runs programs")
+        with wasm_engine() as wasm:
+            wasm.Heaps(1 << 16)
+    except NoEngine as unusable:
+        what = f"the reference engine runs programs: {unusable}"
+        return Finding("warning", what, "install it again for this processor, and see 'ulimit -v'")
+    return Finding("ok", f"wasmtime {importlib.metadata.version('wasmtime')} runs programs")
 
 
 def drivers(plugins: Plugins, used: Collection[str] = ()) -> Iterator[Finding]:

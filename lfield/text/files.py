@@ -9,12 +9,14 @@ import errno
 import os
 import stat
 from pathlib import Path
+from typing import BinaryIO
 
 from lfield.errors import InputFileError
 from lfield.text.source import Source, Span
 
 #: The largest file of a program, or deployment, in bytes.
 MAX_TEXT = 16 << 20
+_PIECE = 1 << 20
 
 
 def look_at(path: Path) -> None:
@@ -45,7 +47,19 @@ def read_within(path: Path, most: int) -> bytes:
 def read_head(path: Path, most: int) -> bytes:
     """The first bytes of a file, `most` of them if there are so many, with the system's own errors."""
     with path.open("rb") as stream:
-        return stream.read(most)
+        return read_up_to(stream, most)
+
+
+def read_up_to(stream: BinaryIO, most: int) -> bytes:
+    """All that is left of a stream, `most` bytes of it if there are so many.
+
+    Asked for so many at once, Python would first have the memory for all of them.
+    """
+    pieces: list[bytes] = []
+    while most > 0 and (piece := stream.read(min(most, _PIECE))):
+        pieces.append(piece)
+        most -= len(piece)
+    return b"".join(pieces)
 
 
 def reason(error: OSError | ValueError) -> str:

@@ -20,6 +20,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from lfield.errors import OutputFileError
+from lfield.text.files import read_up_to
 
 #: What others must not be allowed in such a folder: to write.
 _WRITABLE = stat.S_IWGRP | stat.S_IWOTH
@@ -121,7 +122,7 @@ def read_private(path: Path, most: int, owners: Collection[int] = (), *, secret:
             raise PermissionError(
                 errno.EPERM, f"it is secret, and others may read it: run 'chmod 600 {path}'", str(path)
             )
-        data = file.read(most + 1)
+        data = read_up_to(file, most + 1)
     if len(data) > most:
         raise OSError(errno.EFBIG, os.strerror(errno.EFBIG), str(path))
     return data

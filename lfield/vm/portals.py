@@ -85,9 +85,8 @@ def living(scheduler: Scheduler, member: Member) -> Agent:
 def called(scheduler: Scheduler, member: Member, caller: Agent, proxy: int, method: int) -> Agent:
     """The resource of this host that a proxy leads to, if it serves this caller; else raises Trap.
 
-    Every call comes here before its portal begins: rules are asked here, and nowhere else.
-    An older copy than the newest that the resource has served is refused. A proxy that was called in another
-    life of this host is told first, by an exception: the fields of its resource are lost.
+    Rules are asked here, and nowhere else. A copy older than the newest that was served is refused. A proxy
+    that was called in another life of this host is told first: the fields of its resource are lost.
     """
     resource = scheduler.agents.get(member.id)
     if resource is None or resource.ended:
@@ -380,10 +379,7 @@ def of_others(scheduler: Scheduler, resource: Agent, agent: str) -> bool:
 
 
 def abandon(scheduler: Scheduler, caller: Agent) -> bool:
-    """Nobody waits any more for the portal that this coordinator has called; false when there is none.
-
-    A portal that has begun goes on to its end, and what it gives or throws is dropped.
-    """
+    """Nobody waits any more for the portal that was called: what it gives is dropped. False: there is none."""
     return withdraw(scheduler, caller) or scheduler.calls.pop(call_of(scheduler, caller), None) is not None
 
 

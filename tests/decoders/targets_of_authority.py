@@ -22,7 +22,8 @@ from targets_of_links import pack, unpack
 from lfield.authority.identity import MAX_NAME, Right, identity_of, in_order, uri_of
 from lfield.authority.judge import Revoked, judged
 from lfield.authority.keys import Keys
-from lfield.authority.making import certificate_in, new_authority, private_in
+from lfield.authority.making import new_authority
+from lfield.authority.pem import certificate_in, private_in
 from lfield.authority.reading import der_of, fingerprint_in, identity_in, identity_in_der, revoked_in
 from lfield.authority.signature import sign, signed
 from lfield.errors import KeysError, LfieldError, ProgramError, SignatureError

@@ -13,7 +13,7 @@ from certificates import Team, made
 from lfield.authority.identity import Right, uri_of
 from lfield.authority.judge import Revoked
 from lfield.authority.keys import Keys
-from lfield.authority.making import private_in
+from lfield.authority.pem import private_in
 from lfield.authority.reading import der_of, fingerprint_in, identity_in
 from lfield.errors import LfieldError
 from lfield.mission import bundle

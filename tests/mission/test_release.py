@@ -16,7 +16,8 @@ from missions import write_plain
 from lfield.authority.identity import Right
 from lfield.authority.judge import Revoked
 from lfield.authority.keys import Keys
-from lfield.authority.making import Authority, new_authority, private_in
+from lfield.authority.making import Authority, new_authority
+from lfield.authority.pem import private_in
 from lfield.authority.reading import der_of, fingerprint_in, identity_in
 from lfield.authority.signature import sign
 from lfield.errors import BundleError, KeysError, SignatureError

@@ -14,7 +14,8 @@ from cryptography.x509.oid import NameOID
 from lfield.authority.identity import Right
 from lfield.authority.judge import Revoked
 from lfield.authority.keys import Keys
-from lfield.authority.making import certificate_in, new_authority, private_in
+from lfield.authority.making import new_authority
+from lfield.authority.pem import certificate_in, private_in
 
 BEGIN, END = (datetime.datetime(year, 1, 1, tzinfo=datetime.UTC) for year in (2026, 2099))
 

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from lfield.authority.identity import ALL, STRANGER, Right, uri_of
-from lfield.authority.making import certificate_in, private_in
+from lfield.authority.pem import certificate_in, private_in
 from lfield.errors import GreetingError, KeysError, LfieldError, WireError
 from lfield.net.tls import MAX_HANDSHAKE, Channel, Tls
 

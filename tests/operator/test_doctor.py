@@ -54,7 +54,7 @@ def test_what_runs_programs_here(findings, monkeypatch, installed, state, words)
 
 def test_a_wasmtime_of_another_processor_is_told(findings, monkeypatch):
     monkeypatch.setattr("lfield.operator.doctor.has_wasm", lambda: True)
-    monkeypatch.setitem(sys.modules, "wasmtime", None)
+    monkeypatch.setitem(sys.modules, "lfield.vm.wasm.engine", None)
     monkeypatch.setattr("importlib.metadata.version", lambda name: "50.0.1")
     assert one(findings(), "wasmtime cannot be used").state == "warning"
 

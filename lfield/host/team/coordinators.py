@@ -332,8 +332,6 @@ class Coordinators:
     def _start(self, agent: str, generation: int) -> None:
         self._machine.start(self._members[agent], self._mission.bindings.limits(agent), generation)
 
-    # --- what mobility decides ------------------------------------------------------------------------
-
     def carry_out(self, effects: Iterable[mobile.Effect]) -> None:
         """Do what need not wait, and keep the rest."""
         for effect in self.keeping.put(effects, self._clock.monotonic()) if self._own.memory else effects:

@@ -107,12 +107,15 @@ class Arena:
         self._free.setdefault(capacity, []).append(base)
 
     def _fresh(self, capacity: int) -> int:
-        """A new region from the end of the memory, which grows for it; -1 when it cannot."""
+        """A new region from the end of the memory, which grows for it; -1 when it cannot.
+
+        The last page is nobody's: the address behind a region is one of 32 bits too, in the code as here.
+        """
         base, end = self._next, self._next + capacity
         size = self.memory.data_len(self.store)
         if end > size:
             pages = max(-(-(end - size) // PAGE), _STEP)
-            pages = min(pages, (self.reservation - size) // PAGE)
+            pages = min(pages, (self.reservation - PAGE - size) // PAGE)
             if end > size + pages * PAGE or not self._grow(pages):
                 return -1
         self._next = end

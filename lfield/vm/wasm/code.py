@@ -86,12 +86,12 @@ def _found(digest: bytes, reservation: int, kept: Cache | None, make: Callable[[
     data = kept.get(name)
     if data is not None:
         try:
-            return _read(data, reservation)
+            return _read(name, data, reservation)
         except (ValueError, msgspec.DecodeError, wasmtime.WasmtimeError) as error:
             kept.damaged(name, str(error).partition("\n")[0])
     code = _made(make(), reservation)
     content = msgspec.msgpack.encode(_Kept(code.points, bytes(code.compiled.serialize())))
-    kept.put(name, hashlib.sha256(content).digest() + content)
+    kept.put(name, _seal(name, content) + content)
     return code
 
 
@@ -99,12 +99,17 @@ def _made(made: Module, reservation: int) -> Code:
     return Code(wasmtime.Module(compiler(reservation), made.text), made.points)
 
 
-def _read(data: bytes, reservation: int) -> Code:
+def _read(name: str, data: bytes, reservation: int) -> Code:
     content = data[32:]
-    if hashlib.sha256(content).digest() != data[:32]:
-        raise ValueError("it is not what was written")
+    if _seal(name, content) != data[:32]:
+        raise ValueError("it is not what was written there")
     found = _kept.decode(content)
     return Code(wasmtime.Module.deserialize(compiler(reservation), found.machine_code), found.points)
+
+
+def _seal(name: str, content: bytes) -> bytes:
+    """What stands before the content: a file that was given the name of another is no file of that name."""
+    return hashlib.sha256(name.encode() + b"\0" + content).digest()
 
 
 def name_of(digest: bytes, reservation: int) -> str:

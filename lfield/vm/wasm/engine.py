@@ -29,6 +29,10 @@ _give = struct.Struct(f"<{len(GIVEN) + len(KEPT)}q").pack_into
 _told = struct.Struct(f"<{len(KEPT) + len(TOLD)}q").unpack_from
 
 
+#: What making an engine raises where there is no room for one.
+UNUSABLE = (MemoryError, OSError, wasmtime.WasmtimeError)
+
+
 class Engine:
     """Runs threads of blocks of one program; blocks outside its arena only by the reference engine."""
 

@@ -28,8 +28,6 @@ class WrongOpcode(Engine):
 class _Changed(Engine):
     """Does something else at the end of each run."""
 
-    extra = 0
-
     def run(
         self,
         block: Block,
@@ -39,7 +37,6 @@ class _Changed(Engine):
         readings: Sequence[Reading | None] = (),
         stops: object = None,
     ) -> Exit:
-        self.extra = 0
         leave = super().run(block, thread, budget, self.limits(limits), readings)
         return self.changed(leave, block, thread)
 
@@ -49,16 +46,12 @@ class _Changed(Engine):
     def changed(self, leave: Exit, block: Block, thread: int) -> Exit:
         return leave
 
-    @property
-    def unused(self) -> int:
-        return super().unused + self.extra
-
 
 class WrongBudget(_Changed):
     """Does not charge for the instruction that lacks room."""
 
     def changed(self, leave: Exit, block: Block, thread: int) -> Exit:
-        self.extra = int(isinstance(leave, NoRoom))
+        self.unused += isinstance(leave, NoRoom)
         return leave
 
 

@@ -7,6 +7,11 @@ import random
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+
+from lfield.testing.engines import NEEDED
+
+pytest.importorskip("wasmtime", reason=NEEDED)
+
 from planted_engines import PLANTED, WrongOpcode
 
 from lfield.testing.fuzz.__main__ import Fuzz, main

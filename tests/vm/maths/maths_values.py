@@ -9,8 +9,6 @@ from array import array
 from collections.abc import Callable
 from inspect import signature
 
-import wasmtime
-
 from lfield.vm.maths.library import MATHS
 from lfield.vm.memory.values import canonical, real_of
 from lfield.vm.wasm.lower.maths import maths_name, maths_text
@@ -73,6 +71,9 @@ class Lowered:
     """Every function of the maths as WebAssembly, from one array of reals to another."""
 
     def __init__(self) -> None:
+        # The functions in Python are tried where there is no wasmtime too.
+        import wasmtime
+
         loops = "\n".join(self._loop(name) for name in MATHS)
         engine = wasmtime.Engine()
         self._store = wasmtime.Store(engine)

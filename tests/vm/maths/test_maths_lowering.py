@@ -6,7 +6,11 @@ import pytest
 import strange_maths
 from maths_values import EDGES, Lowered, arguments, arity, differing
 
+from lfield.testing.engines import NEEDED
 from lfield.vm.maths.library import MATHS
+
+pytest.importorskip("wasmtime", reason=NEEDED)
+
 from lfield.vm.wasm.lower.maths import functions_text, maths_text
 
 

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import os
+import platform
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -76,7 +79,7 @@ def test_damaged_code_is_made_again_with_one_line(cached: Path, damage: str) -> 
     files = len(list(cached.iterdir()))
     assert made(notes) == first
     assert len(notes) == files
-    assert all(note.startswith("the program is compiled again: ") for note in notes)
+    assert all(note.startswith("machine code is made again: ") for note in notes)
     assert made(notes) == first
     assert len(notes) == files
 
@@ -138,9 +141,66 @@ def test_where_there_is_no_wasmtime_the_reference_engine_serves(monkeypatch: pyt
 
 def test_where_wasmtime_cannot_be_used_the_log_says_why(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(engines_module, "has_wasm", lambda: True)
-    monkeypatch.setitem(__import__("sys").modules, "lfield.vm.wasm.engine", None)
+    monkeypatch.setitem(sys.modules, "lfield.vm.wasm.engine", None)
     notes: list[str] = []
     assert isinstance(engines_for("auto", notes.append)(PROGRAM, float), Reference)
-    assert notes[0].startswith("the reference engine runs the program: ")
+    assert notes[0].startswith("the reference engine runs the program: wasmtime cannot be used: ")
     with pytest.raises(UsageError, match="cannot be used"):
         engines_for("wasm", notes.append)(PROGRAM, float)
+
+
+#: A host's engine for a program, made where a computer says first what it is.
+_ELSEWHERE = """
+import platform, sys
+platform.machine = lambda: sys.argv[1]
+from lfield.host.engines import engines_for
+from lfield.testing.golden import compile_text
+program = compile_text("resource R { init(string[] arg) { } }")
+print(engines_for("auto", print)(program, float).__class__.__module__)
+"""
+
+
+@pytest.mark.process
+def test_a_processor_that_wasmtime_does_not_know(tmp_path: Path) -> None:
+    """The wheel for all platforms installs anywhere, and refuses only when it is loaded."""
+    pytest.importorskip("wasmtime", reason=NEEDED)
+    done = _elsewhere(tmp_path, "riscv64")
+    assert done.stdout.splitlines() == [
+        "the reference engine runs the program: wasmtime cannot be used: "
+        "unsupported architecture for wasmtime: riscv64",
+        "lfield.vm.reference.run",
+    ]
+
+
+def _elsewhere(cache: Path, machine: str, addresses: int = 0) -> subprocess.CompletedProcess[str]:
+    prepare = (
+        f"import resource; resource.setrlimit(resource.RLIMIT_AS, ({addresses},) * 2)" if addresses else ""
+    )
+    return subprocess.run(
+        [sys.executable, "-c", prepare + _ELSEWHERE, machine],
+        env=os.environ | {"XDG_CACHE_HOME": str(cache)},
+        capture_output=True,
+        text=True,
+        check=True,
+        timeout=60,
+    )
+
+
+@pytest.mark.process
+def test_where_addresses_are_few_the_second_start_finds_the_code_too(tmp_path: Path) -> None:
+    pytest.importorskip("wasmtime", reason=NEEDED)
+    for _ in range(2):
+        done = _elsewhere(tmp_path, platform.machine(), 300 << 20)
+        assert done.stdout.splitlines() == ["lfield.vm.wasm.engine"]
+
+
+def test_code_under_the_name_of_other_code_is_made_again(cached: Path) -> None:
+    """Whole, of this lfield and this wasmtime, and of another program: it would run as this one."""
+    notes: list[str] = []
+    first = made(notes)
+    one, other = sorted(cached.iterdir())
+    one_data = one.read_bytes()
+    one.write_bytes(other.read_bytes())
+    other.write_bytes(one_data)
+    assert made(notes) == first
+    assert [note.rpartition(": ")[2] for note in notes] == ["it is not what was written there"] * 2

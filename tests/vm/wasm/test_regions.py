@@ -15,7 +15,7 @@ from lfield.vm.memory.layout import Layouts
 
 pytest.importorskip("wasmtime", reason="the engine in WebAssembly needs wasmtime: pip install lfield[wasm]")
 
-from lfield.vm.wasm.arena import WHOLE, Arena, size_class
+from lfield.vm.wasm.arena import PAGE, WHOLE, Arena, size_class
 from lfield.vm.wasm.heaps import Heaps
 
 PROGRAM = compile_text("resource R { init(string[] arg) { } }")
@@ -79,6 +79,16 @@ def test_where_the_arena_is_full_blocks_lie_elsewhere(monkeypatch: pytest.Monkey
     inside = [arena.base(room) >= 0 for room in rooms]
     assert inside == sorted(inside, reverse=True)
     assert 10 < sum(inside) < 20
+
+
+def test_no_region_reaches_the_end_of_all_addresses() -> None:
+    """The address behind a region, and that of something there is no room for, are numbers of 32 bits too."""
+    arena = Arena()
+    last = 0
+    for size in (64 << 20, 1 << 16, 512):
+        while (base := arena.take(size)) >= 0:
+            last = base + size
+    assert WHOLE - PAGE - 512 < last <= WHOLE - PAGE
 
 
 def test_where_nothing_new_is_left_a_larger_region_is_given_again(monkeypatch: pytest.MonkeyPatch) -> None:

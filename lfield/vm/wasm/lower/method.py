@@ -347,7 +347,7 @@ class Method:
             *self._leave("(i64.gt_s (local.get $x) (global.get $deepest))", i.pc, 1),
             "(local.set $p (global.get $top))",
             *self._leave(
-                f"(i32.gt_u (i32.add (local.get $p) (i32.const {size})) (global.get $end))", i.pc, 1
+                f"(i32.gt_u (i32.const {size}) (i32.sub (global.get $end) (local.get $p)))", i.pc, 1
             ),
             f"(global.set $top (i32.add (local.get $p) (i32.const {size})))",
             f"(i64.store (local.get $p) (i64.const {head}))",

@@ -41,7 +41,7 @@ def module(prepared: Prepared) -> Module:
     segments = {name: data for m in methods.values() for name, data in m.segments.items()}
     segments |= traps.segments()
     lines = [
-        "(module",
+        "(module $program",
         '(import "arena" "memory" (memory 1))',
         *(f'(import "runtime" "{name}" (func ${name} {kind}))' for name, kind in RUNTIME.items()),
         *(
@@ -49,8 +49,8 @@ def module(prepared: Prepared) -> Module:
             for kind, names in GLOBALS.items()
             for name in names
         ),
-        f'(data (i32.const {TABLES}) "{_escaped(tables.data(prepared, points))}")',
-        *(f'(data {name} "{_escaped(data)}")' for name, data in segments.items()),
+        f"(data (i32.const {TABLES}) {_strings(tables.data(prepared, points))})",
+        *(f"(data {name} {_strings(data)})" for name, data in segments.items()),
         "(type $entry (func (param i32 i32) (result i64 i32)))",
         f"(table {count} funcref)",
         f"(elem (i32.const 0) func {' '.join(f'$e{i}' if i in methods else '$none' for i in range(count))})",
@@ -83,8 +83,10 @@ def _deepest(prepared: Prepared) -> int:
     return STACK // 2 // (256 + 24 * slots)
 
 
-def _escaped(data: bytes) -> str:
-    return "".join(f"\\{byte:02x}" for byte in data)
+def _strings(data: bytes) -> str:
+    """Bytes as strings of the text form: a line of four words each."""
+    pieces = ("".join(f"\\{byte:02x}" for byte in data[at : at + 32]) for at in range(0, len(data), 32))
+    return "\n".join(f'"{piece}"' for piece in pieces)
 
 
 def _entry(m: Method, prepared: Prepared) -> str:

@@ -108,14 +108,14 @@ ROWS: dict[str, str] = {
     """,
     # memory
     "lds": """
-        leave (i32.gt_u (i32.add (global.get $top) (i32.const {size})) (global.get $end))
+        leave (i32.gt_u (i32.const {size}) (i32.sub (global.get $end) (global.get $top)))
         (local.set $p (global.get $top))
         {image}
         (global.set $top (i32.add (local.get $p) (i32.const {size})))
         (local.set {a} {made})
     """,
     "new": """
-        leave (i32.gt_u (i32.add (global.get $top) (i32.const {size})) (global.get $end))
+        leave (i32.gt_u (i32.const {size}) (i32.sub (global.get $end) (global.get $top)))
         (local.set $p (global.get $top))
         {image}
         (global.set $top (i32.add (local.get $p) (i32.const {size})))

@@ -55,7 +55,7 @@ class Traps:
             cases.append(
                 f"""(local.set $size (i32.const {size}))
     (local.set $object (i32.const {size - 8 * len(self._object(kind))}))
-    (if (i32.gt_u (i32.add (local.get $top) (local.get $size)) (global.get $end))
+    (if (i32.gt_u (local.get $size) (i32.sub (global.get $end) (local.get $top)))
       (then (return (i32.const 0))))
     (memory.init $trap{number} (local.get $top) (i32.const 0) (local.get $size))
     br $made"""
@@ -87,7 +87,7 @@ class Traps:
             f"(i64.store offset={8 * n} (local.get $at) (i64.const {word}))"
             for n, word in enumerate([*text_words(""), *words])
         )
-        return f"""(if (i32.gt_u (i32.add (local.get $top) (i32.const {most})) (global.get $end))
+        return f"""(if (i32.gt_u (i32.const {most}) (i32.sub (global.get $end) (local.get $top)))
       (then (return (i32.const 0))))
     (memory.fill (local.get $top) (i32.const 0) (i32.const {_MOST}))
     {before}

@@ -1,0 +1,62 @@
+"""Certificates and keys in PEM texts of anybody: read, or a sentence about what they are not.
+
+What cryptography raises for bytes that it cannot read has no common base, down to an error of OpenSSL's own
+for a bent key: whatever it is, it is a KeysError here.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import warnings
+from collections.abc import Callable
+from typing import TypeVar
+
+from cryptography import x509
+from cryptography.hazmat.primitives import serialization
+from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey, Ed25519PublicKey
+
+from lfield.errors import KeysError
+
+Read = TypeVar("Read")
+
+
+def sound(sentence: str, read: Callable[[], Read]) -> Read:
+    """What is read; raises KeysError with this sentence when it cannot be."""
+    try:
+        # What it only warns of, lfield does not make.
+        with warnings.catch_warnings(action="error"):
+            return read()
+    except KeysError:
+        raise
+    except Exception as error:
+        raise KeysError(sentence) from error
+
+
+def certificate_in(pem: bytes) -> x509.Certificate:
+    """The first certificate in a PEM text. Raises KeysError."""
+    sentence = "it is no certificate (PEM); copy it again from the authority's folder"
+    return sound(sentence, lambda: x509.load_pem_x509_certificate(pem))
+
+
+def private_in(pem: bytes) -> Ed25519PrivateKey:
+    """The private key in a PEM text. Raises KeysError."""
+    sentence = "it is no private key (PEM, no password); copy it again"
+    key = sound(sentence, lambda: serialization.load_pem_private_key(pem, None))
+    if not isinstance(key, Ed25519PrivateKey):
+        raise KeysError("it is no Ed25519 key, which all keys of lfield are; make keys with 'lfield keys'")
+    return key
+
+
+def public_in(certificate: x509.Certificate) -> Ed25519PublicKey:
+    """The public key of a certificate. Raises KeysError."""
+    sentence = "it is no certificate of an Ed25519 key; make certificates with 'lfield keys'"
+    public = sound(sentence, certificate.public_key)
+    if not isinstance(public, Ed25519PublicKey):
+        raise KeysError(sentence)
+    return public
+
+
+def fingerprint_of(public: Ed25519PublicKey) -> str:
+    """SHA-256 of a public key (its SubjectPublicKeyInfo), in hex."""
+    info = public.public_bytes(serialization.Encoding.DER, serialization.PublicFormat.SubjectPublicKeyInfo)
+    return hashlib.sha256(info).hexdigest()
