@@ -379,7 +379,7 @@ def of_others(scheduler: Scheduler, resource: Agent, agent: str) -> bool:
 
 
 def abandon(scheduler: Scheduler, caller: Agent) -> bool:
-    """Nobody waits any more for the portal that was called: what it gives is dropped. False: there is none."""
+    """Nobody waits any more for the portal that was called, what it gives is dropped; false for none."""
     return withdraw(scheduler, caller) or scheduler.calls.pop(call_of(scheduler, caller), None) is not None
 
 
