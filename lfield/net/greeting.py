@@ -57,7 +57,10 @@ class Greeting:
             self._refuse("nobody here knows who this is; hosts and people have keys of 'lfield keys'")
         if who.kind == "local" and not who.may:
             self._refuse(
-                f"{who} may nothing here: join the group 'lfield', which may look and stop, or use sudo"
+                f"what answers here is run by {who}, and a command believes its own user, root, and the "
+                "group 'lfield': use sudo, if that is a host of yours"
+                if self.own.role == "observer"
+                else f"{who} may nothing here: join the group 'lfield', which may look and stop, or use sudo"
             )
         if self._verdict.extent == "nothing":
             self._refuse(self._verdict.why)
