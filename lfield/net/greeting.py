@@ -81,6 +81,7 @@ class Greeting:
         if "observer" not in (self.own.role, message.role):
             self._check_name(message)
         self._check_hashes(message)
+        self._check_bundle(message)
         self._check_devices(message)
         self._check_memory(message)
         self._check_recovery(message)
@@ -156,6 +157,16 @@ class Greeting:
                     f"{self.own.host} has {what} {ours.hex()[:12] or '(none)'} and {hello.host} has {what} "
                     f"{theirs.hex()[:12] or '(none)'}; start both from {remedy}, or from one bundle"
                 )
+
+    def _check_bundle(self, hello: Hello) -> None:
+        """Whoever signs a bundle signs limits and bindings too: of another one no coordinator comes."""
+        ours, theirs = self.own.bundle, hello.bundle
+        if "observer" not in (self.own.role, hello.role) and ours and theirs and ours != theirs:
+            self._refuse(
+                f"{self.own.host} runs bundle {ours.hex()[:12]} and {hello.host} runs bundle "
+                f"{theirs.hex()[:12]}: copy one of the two to both, and give a robot what is its own with "
+                "--devices"
+            )
 
     def _check_devices(self, hello: Hello) -> None:
         """What moves only in a simulation must not wait for robots, nor robots for it."""

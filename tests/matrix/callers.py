@@ -38,7 +38,7 @@ from lfield.wire.reservations import Renew
 #: Seconds since 1970 UTC: the certificates of `Team` are from 2026 to 2099.
 NOW = 1_795_464_000.0
 HOSTS, ADDRESSES = ("alpha", "bravo", "charlie"), ("127.0.0.1:1", "127.0.0.1:2", "127.0.0.1:3")
-OWN = Hello("host", "alpha", 7, b"p" * 32, b"d" * 32, 1 << 16)
+OWN = Hello("host", "alpha", 7, b"p" * 32, b"d" * 32, 1 << 16, bundle=b"b" * 32)
 BLOCK = b"block"
 HOP = Transfer("tom", 1, 2, 3, b"p" * 32, 7, len(BLOCK))
 TOKEN = 77
@@ -126,6 +126,7 @@ class Caller:
     calls_itself: str = "bravo"
     tls: bool = True
     program: bytes = OWN.program
+    release: bytes = OWN.bundle
     bent: Callable[[int, bytes], bytes] = lambda number, data: data
     replays: bool = False
     asks: bool = False
@@ -134,7 +135,9 @@ class Caller:
         """Its greeting: as a host it fits the other one's own, and a command says nothing of a mission."""
         if role == "observer":
             return Hello("observer", name or "observer", 99)
-        return replace(OWN, host=name or self.calls_itself, incarnation=99, program=self.program)
+        return replace(
+            OWN, host=name or self.calls_itself, incarnation=99, program=self.program, bundle=self.release
+        )
 
 
 class Network:
@@ -158,6 +161,8 @@ class Network:
             "host": Caller(team.host("bravo")),
             "later": Caller(team.host("bravo")),
             "bundle": Caller(team.host("bravo"), program=b"q" * 32),
+            "bindings": Caller(team.host("bravo"), release=b"c" * 32),
+            "files": Caller(team.host("bravo"), release=b""),
             "outsider": Caller(team.host("delta"), "delta"),
             "named": Caller(team.host("charlie")),
             "ended": Caller(team.host("bravo", end=ended)),
