@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, cast
 
 from lfield.authority.identity import STRANGER, Identity
 from lfield.errors import AddressError, LfieldError, WireError
-from lfield.net.door import caller_at
+from lfield.net.door import caller_at, host_at
 from lfield.net.framed import FramedLink
 from lfield.net.transport import join_address
 
@@ -36,7 +36,8 @@ GONE = "somebody who was gone at once"
 
 
 class StreamLink(FramedLink, asyncio.Protocol):
-    """One connection, either end, in plain bytes. `resident` says who is at an address of a network."""
+    """One connection in plain bytes, the end that `calls` or the other. `resident` says who is at an address
+    of a network."""
 
     _transport: asyncio.Transport
 
@@ -46,9 +47,11 @@ class StreamLink(FramedLink, asyncio.Protocol):
         max_pending: int,
         on_link: Callable[[Link], LinkHandler],
         resident: Callable[[str], Identity],
+        *,
+        calls: bool,
     ) -> None:
         super().__init__("a peer", max_block)
-        self._max_pending = max_pending
+        self._max_pending, self._calls = max_pending, calls
         self._on_link, self._resident = on_link, resident
         self._loop = asyncio.get_running_loop()
         self._waiting: list[Buffer] = []
@@ -105,7 +108,7 @@ class StreamLink(FramedLink, asyncio.Protocol):
         self.peer = GONE if name is None else socket_address(name)
         made = transport.get_extra_info("socket")
         if made.family == socket.AF_UNIX:
-            self.who = caller_at(made)
+            self.who = host_at(made) if self._calls else caller_at(made)
         else:
             # A hop is one small write that nobody answers: it must not wait to be joined by more.
             made.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
@@ -150,8 +153,8 @@ class TlsLink(StreamLink):
         *,
         calls: bool,
     ) -> None:
-        super().__init__(max_block, max_pending, on_link, nobody_known)
-        self._tls, self._calls = tls, calls
+        super().__init__(max_block, max_pending, on_link, nobody_known, calls=calls)
+        self._tls = tls
         self._channel: Channel | None = None
         self._proven: asyncio.Future[None] = self._loop.create_future()
 

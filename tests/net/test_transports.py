@@ -16,7 +16,7 @@ from certificates import Team
 from lfield.authority.identity import ALL
 from lfield.clock import ManualClock
 from lfield.errors import AddressError, GreetingError, WireError
-from lfield.net.door import local
+from lfield.net.door import listening, local
 from lfield.net.stream import FOR_OBSERVERS
 from lfield.net.tcp import TcpTransport, refusal
 from lfield.net.tls import Tls
@@ -205,7 +205,16 @@ def test_what_a_user_of_this_computer_may(user, groups, rights):
     assert local(user, groups, 1000, None).may == (who.may if user != 1001 else frozenset())
 
 
-def test_the_kernel_says_who_calls_at_a_door(unix):
+@pytest.mark.parametrize("groups", [(1001,), (1001, 700)])
+@pytest.mark.parametrize("user", [0, 1000, 1001])
+def test_whose_host_a_command_believes(user, groups):
+    believed = user in (0, 1000) or 700 in groups
+    assert (listening(user, groups, 1000, 700).may == ALL) == believed
+    assert listening(user, groups, 0, 700).may == listening(user, groups, 0, None).may == ALL
+    assert (listening(user, groups, 1000, None).may == ALL) == (user != 1001)
+
+
+def test_the_kernel_says_who_is_at_both_ends_of_a_door(unix):
     pair = Pair(unix)
     for link in (pair.link, pair.far.link):
         assert (link.who.kind, link.who.may) == ("local", ALL)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import asyncio
+import os
+import tempfile
 from dataclasses import replace
 from pathlib import Path
 
@@ -170,3 +172,57 @@ def test_a_command_brings_the_revocation_list_along(ring):
     asked(ring, keys=ring.folder, host=host)
     (brought,) = [said for who, said in host.heard if isinstance(said, Revocations) and who == "anna"]
     assert revoked_in(brought.list, ring.made("host", "x").authority).number == 3
+
+
+@pytest.fixture
+def other_user(monkeypatch):
+    """A user who is not in the group lfield, and runs what listens at doors."""
+    monkeypatch.setattr("lfield.net.door._number_of_group", lambda: 900)
+    return 12347
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root can run what is another user's")
+@pytest.mark.parametrize("request_", [ask.STATUS, ask.emergency_stop("fire"), LIFT, ask.pause(lift=True)])
+def test_root_reaches_a_host_that_another_user_runs(other_user, request_):
+    assert asked_of(other_user, request_) in (STATUS, EmergencyStopped({}))
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root can run what is another user's")
+def test_who_is_not_root_believes_no_host_of_a_third(other_user, monkeypatch):
+    real = os.geteuid
+    monkeypatch.setattr("lfield.net.door.os.geteuid", lambda: real() or 1001)
+    heard: list[object] = []
+    answer = asked_of(other_user, ask.emergency_stop("fire"), heard)
+    assert isinstance(answer, GreetingError)
+    assert str(answer) == (
+        "greeting refused: what answers here is run by user 12347 of this computer, and a command believes "
+        "its own user, root, and the group 'lfield': use sudo, if that is a host of yours"
+    )
+    assert heard == []
+    for believed in (0, 1001):
+        assert asked_of(believed, ask.STATUS) == STATUS
+
+
+def asked_of(user: int, request, heard: list[object] | None = None):
+    """What asking a host comes to that this user runs: the kernel names whoever listens."""
+    host = Alpha()
+
+    async def story(door: str):
+        transport = TcpTransport(1 << 20)
+        os.seteuid(user)
+        try:
+            listener = await transport.listen(door, host.called)
+        finally:
+            os.seteuid(0)
+        try:
+            return (await ask.ask_all(transport, {"alpha": listener.address}, request))["alpha"]
+        finally:
+            listener.close()
+
+    # The folder of a test is its user's alone.
+    with tempfile.TemporaryDirectory() as folder:
+        os.chown(folder, user, -1)
+        answer = asyncio.run(story(f"unix:{folder}/door"))
+    if heard is not None:
+        heard += [message for _, message in host.heard]
+    return answer

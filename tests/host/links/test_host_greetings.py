@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import asyncio
+from dataclasses import replace
 
 import msgspec
 
 from lfield.authority.identity import ALL, NONE, Identity
+from lfield.mission.access.release import Release
 from lfield.simulate import network
 from lfield.wire.messages import Hello, Refuse
 from lfield.wire.observing import Status, StatusRequest
@@ -50,6 +52,29 @@ def test_hosts_of_two_deployments(fleet):
         (bravo,) = await team.up(team.mission(PROGRAM, DEPLOYMENT + "//Echo:more@alpha\n"), "bravo")
         (alpha,) = await team.up(team.mission(PROGRAM, DEPLOYMENT), "alpha")
         await _stays_refused(team, alpha, bravo, "start both from the same .dL file")
+
+    fleet(story)
+
+
+def test_hosts_of_two_bundles_that_differ_in_their_bindings_alone(fleet):
+    async def story(team):
+        mission = team.mission(PROGRAM, DEPLOYMENT)
+        one, other = (replace(mission, release=Release(digest * 32, by="anna")) for digest in (b"1", b"2"))
+        (bravo,) = await team.up(other, "bravo")
+        (alpha,) = await team.up(one, "alpha")
+        await _stays_refused(team, alpha, bravo, "copy one of the two to both")
+
+    fleet(story)
+
+
+def test_a_host_of_files_and_one_of_a_bundle_talk(fleet):
+    async def story(team):
+        mission = team.mission(PROGRAM, DEPLOYMENT)
+        files = replace(mission, release=Release(b"1" * 32, by="anna", of_files=True))
+        (bravo,) = await team.up(files, "bravo")
+        await team.up(replace(mission, release=Release(b"2" * 32, by="anna")), "alpha")
+        assert await team.ended("tom") == "done"
+        assert bravo.output == ["here"]
 
     fleet(story)
 
