@@ -72,6 +72,7 @@ class Ledger:
             raise KeysError(
                 f"{good[-1]} has keys until {when(good[-1].ends)}: 'lfield keys renew {holder} {name}' "
                 f"makes them last longer, 'lfield keys revoke {holder} {name}' ends them"
+                + (", and then there can be some with other rights" if holder == "person" else "")
             )
         return self._issue(holder, name, with_brought(may), at, ends)
 
@@ -82,8 +83,10 @@ class Ledger:
         """
         found = [row.who for row in self._of(holder, name, at) if row.state != "revoked"]
         if not found:
+            more = " --may ..." if holder == "person" else ""
             raise KeysError(
-                f"{holder} {name} has no keys that are not revoked: 'lfield keys {holder} {name}' makes some"
+                f"{holder} {name} has no keys that are not revoked: 'lfield keys {holder} {name}{more}' "
+                "makes some"
             )
         newest = max(found, key=lambda who: (who.begins, who.ends))
         old = b"" if new_key else self._certificate(newest.serial)

@@ -16,9 +16,15 @@ from typing import TYPE_CHECKING
 from lfield import exits
 from lfield.cli.mission_argument import add_mission, mission_path, setup_command
 from lfield.errors import DevicesError, OutputFileError, UsageError
+from lfield.text.numbers import real_above_0, whole_between
 
 #: Seconds that a mission may take that nobody says more of.
 DAY = 86400.0
+#: The most that anybody may say: no keys last longer.
+LONGEST = 36500 * DAY
+#: A time to wait for somebody.
+_SECONDS = real_above_0(1e6, "seconds")
+_DESCRIPTOR = whole_between(0, 1 << 20)
 
 if TYPE_CHECKING:
     from lfield.journal.journal import Journal
@@ -49,12 +55,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--until-done", action="store_true", help="end when every coordinator has ended")
     parser.add_argument("--dump", metavar="DIR", type=Path, help="dump agents that die, for 'lfield inspect'")
     parser.add_argument(
-        "--unreachable-after", metavar="SECONDS", type=_seconds, help="bound of a portal call (default 10)"
+        "--unreachable-after", metavar="SECONDS", type=_SECONDS, help="bound of a portal call (default 10)"
     )
     parser.add_argument(
         "--lost-after",
         metavar="SECONDS",
-        type=_seconds,
+        type=_SECONDS,
         default=15.0,
         help="with --until-done: end when a host was not heard by anybody for so long (default 15)",
     )
@@ -71,7 +77,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--lasts",
         metavar="SECONDS",
-        type=_seconds,
+        type=real_above_0(LONGEST, "seconds"),
         default=DAY,
         help="how long the mission may take: keys that end before that are refused (default a day)",
     )
@@ -99,18 +105,11 @@ def _add_kept(parser: argparse.ArgumentParser) -> None:
 def _add_hidden(parser: argparse.ArgumentParser) -> None:
     # For processes that `--all` starts: the listening socket and the keys they inherit, the address where
     # commands find them, to end with their parent, and the command that sets up their devices.
-    parser.add_argument("--listen-fd", type=int, help=argparse.SUPPRESS)
-    parser.add_argument("--keys-fd", type=int, help=argparse.SUPPRESS)
+    parser.add_argument("--listen-fd", type=_DESCRIPTOR, help=argparse.SUPPRESS)
+    parser.add_argument("--keys-fd", type=_DESCRIPTOR, help=argparse.SUPPRESS)
     parser.add_argument("--door", default="", help=argparse.SUPPRESS)
     parser.add_argument("--leash", action="store_true", help=argparse.SUPPRESS)
     parser.add_argument("--setup", default="", help=argparse.SUPPRESS)
-
-
-def _seconds(word: str) -> float:
-    value = float(word)
-    if not 0 < value < 1e6:
-        raise argparse.ArgumentTypeError("must be a number of seconds above 0")
-    return value
 
 
 def run(args: argparse.Namespace) -> int:

@@ -99,7 +99,7 @@ def _insist_on_good(own: Identity, revoked: Revoked, now: float, lasts: float) -
         )
     if own.ends < now + lasts:
         raise KeysError(
-            f"the certificate of {own} ends {when(own.ends)}, and the mission may last {lasts:g} s from "
+            f"the certificate of {own} ends {when(own.ends)}, and the mission may last {lasts:.10g} s from "
             f"{when(now)} on: renew it with 'lfield keys renew {own}', or say with --lasts how long it takes"
         )
 

@@ -58,6 +58,8 @@ def refused(here):
         (["up", "--deploy", "mission.dL", "--all", "--host", "alpha"], "not allowed with argument"),
         (["up", "--deploy", "mission.dL", "--lost-after", "soon"], "--lost-after"),
         (["up", "--deploy", "mission.dL", "--unreachable-after", "-1"], "a number of seconds above 0"),
+        (["up", "--deploy", "mission.dL", "--lasts", "400d"], "and at most 3153600000, not '400d'"),
+        (["up", "--deploy", "mission.dL", "--lasts", "1e10"], "and at most 3153600000, not '1e10'"),
         (["up", "--deploy", "mission.dL", "--map", "alpha"], "write it as NAME=ADDR:PORT"),
         (["up", "--deploy", "mission.dL", "--map", "alpha=localhost:0"], "write it as NAME=ADDR:PORT"),
         (["ps", "--deploy", "mission.dL", "--map", "alhpa=localhost:1"], "did you mean 'alpha'"),
