@@ -27,6 +27,7 @@ _SECONDS = real_above_0(1e6, "seconds")
 _DESCRIPTOR = whole_between(0, 1 << 20)
 
 if TYPE_CHECKING:
+    from lfield.host.process.proving import Proof
     from lfield.journal.journal import Journal
     from lfield.journal.opening import Owner
     from lfield.mission.mission import Mission
@@ -185,9 +186,9 @@ def _run_one(mission: Mission, args: argparse.Namespace, *, built: bool) -> int:
 
     name = mission.team.lookup(args.host) if args.host else own_host(mission.team.hosts)
     proof = proof_of(name, args)
-    if proof is not None:
-        _look_at_port(mission, name, args)
-        mission = built_here(mission, mission_path(args), args) if built else mission
+    if proof is not None and built:
+        mission = built_here(mission, mission_path(args), args)
+    _look_first(mission, name, proof, args)
     if not _ready(mission, name, args):
         return exits.FAILED
     with (
@@ -259,15 +260,22 @@ def _journal(mission: Mission, host: str, args: argparse.Namespace) -> Iterator[
         journal.close()
 
 
-def _look_at_port(mission: Mission, host: str, args: argparse.Namespace) -> None:
-    """See that no host runs here whose folder was moved away: in its place no new journal may be put.
+def _look_first(mission: Mission, host: str, proof: Proof | None, args: argparse.Namespace) -> None:
+    """See that a host may begin before a journal of it is, or is thrown away: what is refused leaves none.
 
-    One that has its folder keeps others out by its lock. Raises AddressError.
+    And that no host runs here whose folder was moved away: in its place no new journal may be put. One that
+    has its folder keeps others out by its lock. Raises LfieldError.
     """
+    from lfield.clock import SystemClock
+    from lfield.host.process.proving import insist_on_all
     from lfield.net.local import insist_on_free
 
-    inherited = args.listen_fd is not None
-    if not inherited and _keeps(mission, args) and not os.path.exists(_place(mission, host, args)[0]):
+    if not _keeps(mission, args):
+        return
+    is_there = os.path.exists(_place(mission, host, args)[0])
+    if args.fresh or not is_there:
+        insist_on_all(mission, host, proof, SystemClock())
+    if proof is not None and args.listen_fd is None and not is_there:
         insist_on_free(mission.team.addresses[mission.team.number(host)])
 
 
