@@ -36,7 +36,7 @@ COMMANDS = {
     "resume": "let a mission that was paused go on",
     "forget": "end a coordinator that is in doubt, lost or parked, by your word",
     "recover": "go on with a coordinator whose host is gone for good, by your word",
-    "inspect": "explain a dumped agent",
+    "inspect": "explain a dumped agent, the journal of a host, or a bundle",
     "doctor": "look for what stands between this computer and its devices",
     "driver": "list the drivers, or begin a new one",
     "setup": "write what devices must keep for their bindings, after a yes, or put back what was there",

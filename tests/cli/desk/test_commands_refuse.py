@@ -53,7 +53,7 @@ def refused(here):
     [
         ([], "the following arguments are required: COMMAND"),
         (["fly"], "invalid choice: 'fly'"),
-        (["up"], "one of the arguments --deploy MISSION is required"),
+        (["up"], "one of the arguments MISSION --deploy is required"),
         (["up", "--deploy", "mission.dL", "--wings"], "unrecognized arguments: --wings"),
         (["up", "--deploy", "mission.dL", "--all", "--host", "alpha"], "not allowed with argument"),
         (["up", "--deploy", "mission.dL", "--lost-after", "soon"], "--lost-after"),
@@ -80,6 +80,12 @@ def test_help_and_version_are_answers(lfield):
     assert "130  interrupted" in "\n".join(shown.out)
     assert lfield("--version").out[0].startswith("lfield ")
     assert "--until-done" in "\n".join(lfield("up", "--help").out)
+
+
+@pytest.mark.parametrize("command", ["up", "ps", "estop"])
+def test_nothing_is_the_same_as_what_comes_later(here, command):
+    text = "\n".join(here(command, "--help").out)
+    assert -1 < text.index("(.dL) or bundle (.lfm)") < text.index("the same, as an option")
 
 
 # files
