@@ -7,8 +7,9 @@ clock that is behind takes certificates that have ended. So it is the latest of 
 - **what it was when this host ran before**, from its journal;
 - **what the authority has signed**: it makes no certificate and no list that begins later on, so when one
   begins it was that time already. Therefore no certificate is "not yet valid" to whoever has seen it here;
-- **what the team says**: the time in the greeting of a peer, if it lies within that peer's own certificate. A
-  peer that says more says that it has ended itself, and proves nothing.
+- **what the team says**: the time in the greeting of a host, if it lies within that host's own certificate.
+  One that says more says that it has ended itself, and proves nothing. What persons say of the time counts
+  for nothing: whoever may look must not be able to have others refused.
 
 A time that is too late only ever refuses more, so nobody gets in by lying; a host of the team that lies can
 have others refused, up to the end of its own certificate, and `line` names it. What the team says is neither
@@ -52,8 +53,8 @@ class BelievedTime:
         self._proven = max(self._proven, (at - self._clock.monotonic(), f"{what} began then"))
 
     def told(self, at: float, who: Identity) -> None:
-        """A peer that was judged well says that it is so late."""
-        if who.kind in ("host", "person") and who.begins <= at < who.ends:
+        """Somebody who was judged well says that it is so late."""
+        if who.kind == "host" and who.begins <= at < who.ends:
             self._told = max(self._told, (at - self._clock.monotonic(), f"{who} says so"))
 
     def to_say(self) -> float:

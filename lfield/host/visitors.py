@@ -29,6 +29,8 @@ from lfield.wire.observing import (
 PAUSED = "the mission is paused"
 #: For so many seconds an emergency stop, which holds already, waits for the disk before it is answered.
 KEPT_WITHIN = 2.0
+#: The status of a host is told at most every so many seconds: whoever asks more often gets one for all.
+STATUS_EVERY = 0.05
 #: Whoever has asked within so many seconds is looking at the devices, and gets one more answer in so many.
 LOOKING, LAST_LOOK = 3.0, 1.5
 
@@ -54,13 +56,15 @@ class Visitors:
         self._enter, self._status, self._note, self._all_kept = enter, status, note, all_kept
         #: When somebody last asked how the devices are.
         self._looked = -LOOKING
+        #: Who waits for the status, and when it was last told.
+        self._asking: dict[Link, None] = {}
+        self._told = -STATUS_EVERY
 
     def received(self, message: Control, link: Link) -> None:
         """An observer asks for something. What only hosts say to one another is not answered."""
         match message:
             case StatusRequest():
-                self._looked = self._clock.monotonic()
-                link.send(self._status())
+                self._show(link)
             case EmergencyStop():
                 spawn(self._emergency_stop(message, link))
             case Forget():
@@ -69,6 +73,24 @@ class Visitors:
                 spawn(self._pause(message, link))
             case Recover():
                 spawn(self._keep(link, lambda: self._core.recover(message)))
+
+    def _show(self, link: Link) -> None:
+        """Tell the status now, or soon; nobody can keep a host busy by asking."""
+        self._looked = self._clock.monotonic()
+        waits, self._asking[link] = bool(self._asking), None
+        left = self._told + STATUS_EVERY - self._looked
+        if left <= 0:
+            self._show_all()
+        elif not waits:
+            asyncio.get_running_loop().call_later(left, self._show_all)
+
+    def _show_all(self) -> None:
+        self._told = self._clock.monotonic()
+        asking, self._asking = self._asking, {}
+        if asking:
+            status = self._status()
+            for link in asking:
+                self._answer(link, status)
 
     def stay_stopped(self) -> None:
         """What was stopped in an earlier life of this host, and not lifted, opens its devices barred."""

@@ -81,24 +81,29 @@ class FramedLink:
             self.write_now(head)
             self.write_now(block)
 
-    def received(self, data: Buffer) -> None:
-        """Hand on what the next bytes complete; close on bytes or messages that must not be."""
-        frame = self._decoder.whole(data)
+    def received(self, data: Buffer) -> int:
+        """Hand on what the next bytes complete; close on bytes or messages that must not be.
+
+        Returns how many messages that were.
+        """
+        frame, count = self._decoder.whole(data), 0
         try:
             for kind, payload in self._decoder.feed(data) if frame is None else (frame,):
+                count += 1
                 if kind == TRANSFER:
                     header, block = decode_transfer(payload)
                     self.handler.on_transfer(self, header, block)
                 else:
                     self.handler.on_message(self, decode(kind, payload))
                 if self.closed:
-                    return
+                    break
         except (WireError, GreetingError) as error:
             self._error = error
             self.close()
         except Exception as error:
             self.close()
             unexpected(error)
+        return count
 
     def finished(self, error: LfieldError | None) -> None:
         """The stream has ended; the first reason known is the one reported."""

@@ -28,6 +28,11 @@ CALLER = "a command on this computer"
 LAST_WORDS = 5.0
 #: So many bytes may wait at most for somebody who only looks: some of the longest answers.
 FOR_OBSERVERS = 4 << 20
+#: So many messages of somebody who only looks are taken at once, and so many a second: whoever asks without
+#: an end must not keep a host from an emergency stop.
+AT_ONCE, A_SECOND = 16, 200
+#: Who called and was gone before anybody looked: it has no address any more.
+GONE = "somebody who was gone at once"
 
 
 class StreamLink(FramedLink, asyncio.Protocol):
@@ -48,6 +53,7 @@ class StreamLink(FramedLink, asyncio.Protocol):
         self._loop = asyncio.get_running_loop()
         self._waiting: list[Buffer] = []
         self._patience: asyncio.TimerHandle | None = None
+        self._looks = False
 
     async def ready(self) -> None:
         """Return when messages can be sent. Raises GreetingError, WireError and AddressError."""
@@ -77,7 +83,8 @@ class StreamLink(FramedLink, asyncio.Protocol):
     def greeted(self, role: Role) -> None:
         """See `Link.greeted`."""
         super().greeted(role)
-        if role == "observer" and self._max_pending > FOR_OBSERVERS:
+        self._looks = role == "observer"
+        if self._looks and self._max_pending > FOR_OBSERVERS:
             self._max_pending = FOR_OBSERVERS
             self._transport.set_write_buffer_limits(high=self._max_pending)
 
@@ -94,7 +101,8 @@ class StreamLink(FramedLink, asyncio.Protocol):
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         self._transport = cast("asyncio.Transport", transport)
-        self.peer = socket_address(transport.get_extra_info("peername"))
+        name = transport.get_extra_info("peername")
+        self.peer = GONE if name is None else socket_address(name)
         made = transport.get_extra_info("socket")
         if made.family == socket.AF_UNIX:
             self.who = caller_at(made)
@@ -106,7 +114,17 @@ class StreamLink(FramedLink, asyncio.Protocol):
         self.handler = self._on_link(self)
 
     def data_received(self, data: bytes) -> None:
-        self.received(data)
+        self._rest(self.received(data))
+
+    def _rest(self, count: int) -> None:
+        """Read nothing for a while from somebody who only looks, and has sent so many messages."""
+        if self._looks and count > AT_ONCE and not self._transport.is_closing():
+            self._transport.pause_reading()
+            self._loop.call_later(count / A_SECOND, self._read_on)
+
+    def _read_on(self) -> None:
+        if not self._transport.is_closing():
+            self._transport.resume_reading()
 
     def pause_writing(self) -> None:
         """Asyncio's word for: more bytes wait than `max_pending`."""
@@ -148,10 +166,11 @@ class TlsLink(StreamLink):
 
     def data_received(self, data: bytes) -> None:
         channel = self._channel = self._channel or self._tls.channel(calls=False)
+        count = 0
         try:
             for plain in channel.feed(data):
                 self.who = channel.who
-                self.received(plain)
+                count += self.received(plain)
                 if self.closed:
                     return
         except LfieldError as error:
@@ -160,6 +179,7 @@ class TlsLink(StreamLink):
             self.close()
             return
         self._say(channel)
+        self._rest(count)
         if channel.proven and not self._proven.done():
             self.who = channel.who
             self._proven.set_result(None)

@@ -65,7 +65,8 @@ def test_the_team_is_believed_within_its_own_certificates() -> None:
         believed.told(beyond, BRAVO)
         assert believed.now() == 1.8e9
     believed.told(1.85e9, STRANGER)
-    believed.told(1.85e9, Identity("local", "root", NONE))
+    for kind in ("local", "person"):
+        believed.told(1.85e9, Identity(kind, "root", NONE))
     assert believed.now() == 1.8e9
 
 

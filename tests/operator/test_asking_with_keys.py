@@ -11,7 +11,7 @@ import pytest
 from lfield.authority import folder
 from lfield.authority.identity import Right
 from lfield.authority.reading import revoked_in
-from lfield.errors import GreetingError, KeysError
+from lfield.errors import AddressError, GreetingError, KeysError
 from lfield.net.greeting import Greeting
 from lfield.net.tcp import TcpTransport
 from lfield.net.tls import Tls
@@ -105,6 +105,30 @@ def test_keys_that_are_not_there_keep_no_stop_from_this_computer(ring):
     assert here == EmergencyStopped({})
     ring.put("me", replace(ring.made("person", "anna"), key=b"nothing"))
     assert "the keys are damaged" in str(asked(ring, keys=ring.folder)[0])
+
+
+class Crowded(Alpha):
+    """Turns away the first callers, as a host in a flood does."""
+
+    def __init__(self, first: int) -> None:
+        super().__init__()
+        self.left = first
+
+    def called(self, link):
+        self.left -= 1
+        if self.left >= 0:
+            link.abort()
+        return self
+
+
+def test_a_stop_is_asked_again_where_callers_are_turned_away(ring, monkeypatch):
+    monkeypatch.setattr(ask, "AGAIN_AFTER", 0.01)
+    assert asked(ring, ask.emergency_stop("fire"), ring.folder, Crowded(7))[0] == EmergencyStopped({})
+    assert isinstance(asked(ring, keys=ring.folder, host=Crowded(7))[0], AddressError)
+    # Who refuses has answered.
+    ring.put("me", ring.made("person", "anna", Right.OBSERVE))
+    host = Alpha()
+    assert isinstance(asked(ring, ask.emergency_stop("fire"), ring.folder, host)[0], GreetingError)
 
 
 def test_whoever_may_only_look_is_told_what_it_takes_to_stop(ring):
