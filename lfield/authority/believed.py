@@ -41,6 +41,8 @@ class BelievedTime:
         # How far the time is ahead of the clock that never goes back, and who says so.
         self._proven = (kept - clock.monotonic(), "it was so late already when this host ran before")
         self._told = (-math.inf, "")
+        #: By whom the clock was behind when that was last told.
+        self._line = ""
 
     def now(self) -> float:
         """What time it is."""
@@ -60,11 +62,17 @@ class BelievedTime:
         return max(self._clock.time(), self._clock.monotonic() + self._proven[0])
 
     def line(self) -> str:
-        """What to tell when the clock is behind what is believed; '' when it is not."""
+        """What to tell when the clock is behind what is believed; '' when it is not, or that was told.
+
+        It names the time, which goes on: only a new reason makes it news.
+        """
         behind = self.now() - self._clock.time()
         if behind < NOTABLE:
             return ""
         why = max(self._proven, self._told)[1]
+        if why == self._line:
+            return ""
+        self._line = why
         return (
             f"the clock of this computer says {when(self._clock.time())}; it is taken to be "
             f"{when(self.now())}, since {why}; set the clock"

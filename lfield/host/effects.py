@@ -44,9 +44,10 @@ class Write(Struct, frozen=True):
 
 
 class Say(Struct, frozen=True):
-    """A line for the log."""
+    """A line for the log; what a program says may have several `lines`."""
 
     text: str
+    lines: bool = False
 
 
 class Complain(Struct, frozen=True):

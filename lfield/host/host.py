@@ -265,7 +265,7 @@ class Host:
         with suppress(Exception):
             self.note(str(self.failure))
             if os.environ.get("LFIELD_TRACEBACK"):
-                self.note("".join(traceback.format_exception(error)))
+                self.logbook.note("".join(traceback.format_exception(error)), lines=True)
 
     def unhandled(self, loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
         """The loop's exception handler: what was raised beside the core, in a task or a socket's callback."""
@@ -285,7 +285,7 @@ class Host:
             case Write():
                 self.logbook.write(effect.text)
             case Say():
-                self.logbook.note(effect.text)
+                self.logbook.note(effect.text, lines=effect.lines)
             case Complain():
                 self.peers.complain(effect.text)
             case Call():

@@ -112,7 +112,7 @@ class FramedLink:
         # Now, and not when the collector finds this link: what never greeted must not pile up until then.
         self._decoder.forget()
         if self._error is None and error is None and half:
-            error = WireError(f"{self.peer} closed the link in the middle of a message")
+            error = WireError("it closed the link in the middle of a message")
         self.handler.on_closed(self, self._error or error)
 
     def _oversize(self, header: Transfer, size: int) -> None:

@@ -175,7 +175,8 @@ class Session:
         self._relax()
         self.reason = self.reason or str(error or "")
         if error and not self.dialled:
-            self._complain(str(error))
+            # Whose address it is stands before, without the port: each attempt has another.
+            self._complain(error.reason if isinstance(error, AddressError) else str(error))
         self._peers.gone(self)
         self.over.set()
 

@@ -131,7 +131,7 @@ class StreamLink(FramedLink, asyncio.Protocol):
 
     def pause_writing(self) -> None:
         """Asyncio's word for: more bytes wait than `max_pending`."""
-        self._error = WireError(f"{self.peer} does not read: over {self._max_pending} bytes wait for it")
+        self._error = WireError(f"it does not read: over {self._max_pending} bytes wait for it")
         self.closed = True
         self._transport.abort()
 

@@ -17,6 +17,7 @@ from lfield.net.stream import UNIX
 from lfield.net.tcp import TcpTransport
 from lfield.net.transport import Link, Transport
 from lfield.operator.addressed import Party, Place
+from lfield.text.visible import in_one_line
 from lfield.wire.coordinators import Transfer
 from lfield.wire.fields import clip
 from lfield.wire.messages import Hello, Message, Refuse, Revocations
@@ -133,7 +134,7 @@ def silent(answers: Answers[T]) -> dict[str, LfieldError]:
 def tell_silent(hosts: Mapping[str, LfieldError], meaning: str = "") -> None:
     """A line on stderr for each host that did not answer."""
     for host, why in hosts.items():
-        print(f"{host}: {meaning}{why}", file=sys.stderr)
+        print(in_one_line(f"{host}: {meaning}{why}"), file=sys.stderr)
 
 
 def observer(keys: Keys | None = None, connect_timeout: float = 2.0) -> TcpTransport:

@@ -81,6 +81,17 @@ def test_what_the_team_says_is_not_passed_on() -> None:
     assert believed.now() == 1.8e9 + 10.0
 
 
+def test_a_clock_that_stays_behind_is_told_once_for_each_reason() -> None:
+    clock = Pi()
+    believed = BelievedTime(clock, kept=1.7e9)
+    assert "when this host ran before" in believed.line()
+    clock.wait(3600.0)
+    assert believed.line() == ""
+    believed.told(1.8e9, BRAVO)
+    assert "since host bravo says so" in believed.line()
+    assert believed.line() == ""
+
+
 def test_a_clock_that_is_set_is_believed_again() -> None:
     clock = Pi()
     believed = BelievedTime(clock, kept=1.7e9)

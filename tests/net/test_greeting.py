@@ -117,7 +117,8 @@ def test_each_message_takes_its_right_and_no_other(message, right):
 def test_the_right_that_is_missing_is_named_with_what_to_do():
     assert refused(looking(person(Right.OBSERVE, Right.STOP)), LIFT) == (
         "anna may observe and stop, and this takes the right to operate: "
-        "'lfield keys person anna --may operate' gives it"
+        "new keys give it: 'lfield keys revoke person anna', then "
+        "'lfield keys person anna --may observe,stop,operate'"
     )
     assert refused(looking(local(Right.OBSERVE)), STOP) == (
         "user bob of this computer may observe, and this takes the right to stop: "

@@ -26,7 +26,6 @@ TABLES: dict[str, str] = {
 }
 #: Shorter than others, each one idea that nothing else is about.
 SMALL = {
-    "lfield/authority/rights.py": "a table: which message takes which right",
     "lfield/authority/keys.py": "keys as bytes, and the names of their files",
     "lfield/authority/minted.py": "keys of one run, in memory",
     "lfield/host/team/absent.py": "whom nobody waits for",
@@ -49,6 +48,7 @@ SMALL = {
     "lfield/simulate/time.py": "the jumping clock",
     "lfield/testing/offers.py": "a team for golden programs",
     "lfield/testing/reports.py": "the guard's end of a driver, for tests",
+    "lfield/text/numbers.py": "three types of options",
     "lfield/text/findings.py": "the table class of all findings",
     "lfield/text/values.py": "values of devices in words",
     "lfield/vm/maths/library.py": "which instruction is which function, a table",

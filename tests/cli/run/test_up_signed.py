@@ -81,6 +81,21 @@ def test_what_nobody_has_signed_who_may_does_not_run(lfield, here, made, tmp_pat
     assert "is not of this authority" in refused(lfield, *maps)
 
 
+def test_a_bundle_that_is_refused_leaves_no_folder_and_throws_none_away(lfield, here, made) -> None:
+    maps = made()
+    state = lfield.folder / "kept"
+    assert "nobody has signed it" in refused(lfield, *maps, "--state", state)
+    assert not state.exists()
+    assert here("sign", "mission.lfm").status == 0
+    words = ("up", "mission.lfm", *maps, "--first-start", "--until-done", "--state", state, "--host")
+    assert [host.wait() for host in [lfield.start(*words, name) for name in ("alpha", "bravo")]] == [0, 0]
+    journal = next(path for path in state.rglob("*") if path.is_file() and "alpha" in str(path))
+    before = journal.stat().st_ino
+    assert here("build", "mission.dL").status == 0
+    assert "nobody has signed it" in refused(lfield, *maps, "--state", state, "--fresh", "--yes")
+    assert journal.stat().st_ino == before
+
+
 def test_a_robots_own_devices_file_needs_no_other_signature(lfield, here, made) -> None:
     maps = made()
     lfield.write("robot.yaml", "unreachable_after: 5\n")

@@ -8,7 +8,10 @@ from dataclasses import replace
 import msgspec
 
 from lfield.authority.identity import ALL, NONE, Identity
+from lfield.errors import AddressError
 from lfield.mission.access.release import Release
+from lfield.net.owner import Complaints
+from lfield.net.session import Session
 from lfield.simulate import network
 from lfield.wire.messages import Hello, Refuse
 from lfield.wire.observing import Status, StatusRequest
@@ -103,6 +106,29 @@ def test_a_second_host_with_the_same_name_is_refused_and_the_first_goes_on(fleet
         assert not _told(alpha, words)
 
     fleet(story)
+
+
+class StrangersPeers:
+    """Who keeps a link of a caller that never greets."""
+
+    def __init__(self, note):
+        self.complain = Complaints(note).say
+
+    def now(self):
+        return 0.0
+
+    def gone(self, session):
+        pass
+
+
+def test_a_caller_that_resets_again_and_again_is_told_once():
+    log = []
+    peers = StrangersPeers(log.append)
+    for port in (40001, 40002, 40003):
+        session = Session(peers, None)
+        session.link = type("Reset", (), {"peer": f"192.0.2.7:{port}"})()
+        session.on_closed(session.link, AddressError(session.link.peer, "the connection was lost: reset"))
+    assert log == ["closed a link from 192.0.2.7: the connection was lost: reset"]
 
 
 class EagerTransport:
