@@ -12,6 +12,7 @@ from lfield.errors import AddressError
 from lfield.host.core import HostCore
 from lfield.loop import spawn
 from lfield.net.transport import Link
+from lfield.text.visible import in_one_line
 from lfield.wire.fields import clip
 from lfield.wire.messages import Control
 from lfield.wire.observing import (
@@ -114,10 +115,12 @@ class Visitors:
             devices = self._guards.lift_stop()
             self._enter(lambda: self._core.stop(""))
         else:
-            self._note(f"EMERGENCY STOP by {link.who}: {message.reason}")
+            # Programs hear it too, and what they print of it has no line of somebody else's.
+            reason = clip(in_one_line(message.reason))
+            self._note(f"EMERGENCY STOP by {link.who}: {reason}")
             # The devices first: they wait neither for the core nor for the disk.
-            self._guards.bar(message.reason)
-            self._enter(lambda: self._core.stop(message.reason))
+            self._guards.bar(reason)
+            self._enter(lambda: self._core.stop(reason))
             devices = await self._guards.confirmed()
         trouble = "" if await self._all_kept(KEPT_WITHIN) else self._not_kept(lift=message.lift)
         self._answer(link, EmergencyStopped(devices, trouble))

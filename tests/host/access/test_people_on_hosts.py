@@ -84,6 +84,7 @@ def test_nobody_puts_a_line_into_the_log_that_looks_like_another(fleet, named):
         await team.until(lambda: "out\n" in alpha.log)
         assert "EMERGENCY STOP by anna: fire\\nalpha | bravo is safe\n" in alpha.log
         assert "tom: out\n    alpha is up\n" in alpha.log
+        assert alpha.host.core.coordinators.stopped == "fire\\nalpha | bravo is safe"
 
     fleet(story)
 
