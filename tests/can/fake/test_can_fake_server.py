@@ -179,7 +179,7 @@ def test_signals_end_it(number):
         (("--device", "cia402:5", "--device", "odrive:5"), 64, "same node id"),
         (("--fault", "loss=2"), 64, "from 0 to 1"),
         (("--fault", "loss@9=1", "--device", "cia402:5"), 64, "no device '9'"),
-        (("--bitrate", "7"), 2, "bit rate"),
+        (("--bitrate", "7"), 2, "--bitrate: must be"),
     ],
 )
 def test_a_wrong_command_line_is_a_sentence(options, status, words):

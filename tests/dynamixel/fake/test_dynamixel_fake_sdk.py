@@ -277,7 +277,7 @@ def test_signals_end_it(number):
         (["--servo", "1:XM999"], "there is no fake of the servo 'XM999'; there are: "),
         (["--servo", "1:XL330-M288", "--protocol", "1.0"], "XL330-M288 does not speak protocol 1.0"),
         (["--servo", "1:XL330-M288", "--baud", "4500000"], "XL330-M288 does not do 4500000 baud"),
-        (["--return-delay", "9000"], "the return delay is from 0 to 508 microseconds"),
+        (["--return-delay", "900"], "the return delay is from 0 to 508 microseconds"),
         (["--fault", "dead@7=true"], "there is no device '7'"),
         (["--listen", "/dev/null"], "cannot use /dev/null: there is a file or a device of that name"),
         (["--listen", "/nowhere/at/all/tty"], "cannot use /nowhere/at/all/tty: No such file or directory"),

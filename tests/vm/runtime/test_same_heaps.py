@@ -153,7 +153,7 @@ def test_where_the_arena_is_full_python_does_it_to_the_same_bytes(monkeypatch: p
     done_here = set()
     for left in (0, 1 << 14, 1 << 17, 1 << 18, 1 << 20):
         space = Heaps()
-        assert space.take((1 << 24) - PAGE - (1 << 12) - left) > 0
+        assert space.take((1 << 24) - 2 * PAGE - (1 << 12) - left) > 0
         for seed in range(20):
             heap = RandomHeap(seed)
             there, target = twin(heap.block, space), Block.empty(heap.program.digest, LIMIT, space)
