@@ -30,6 +30,7 @@ from lfield.wire.codec import encode, encode_transfer
 from lfield.wire.coordinators import Ended, Transfer
 from lfield.wire.messages import AgentReport, Control, Hello, Message, Ping, Report, Revocations, Role
 from lfield.wire.observing import EmergencyStop, Forget, Pause, Recover, StatusRequest
+from lfield.wire.watching import Watch
 from lfield.wire.quorum import Propose
 from lfield.wire.reservations import Renew
 
@@ -49,6 +50,7 @@ SAID_BY_HOSTS: dict[str, Message] = {
 }
 SAID_BY_COMMANDS: dict[str, Message] = {
     "ps": StatusRequest(),
+    "watch": Watch(),
     "estop": EmergencyStop("why"),
     "lift": EmergencyStop("", lift=True),
     "pause": Pause(),
