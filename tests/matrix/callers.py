@@ -30,9 +30,9 @@ from lfield.wire.codec import encode, encode_transfer
 from lfield.wire.coordinators import Ended, Transfer
 from lfield.wire.messages import AgentReport, Control, Hello, Message, Ping, Report, Revocations, Role
 from lfield.wire.observing import EmergencyStop, Forget, Pause, Recover, StatusRequest
-from lfield.wire.watching import Watch
 from lfield.wire.quorum import Propose
 from lfield.wire.reservations import Renew
+from lfield.wire.watching import Watch
 
 #: Seconds since 1970 UTC: the certificates of `Team` are from 2026 to 2099.
 NOW = 1_795_464_000.0
