@@ -30,7 +30,7 @@ from lfield.operator.ask import (
 from lfield.operator.query import Asked, from_hosts, views_of
 from lfield.operator.question import read_question
 from lfield.operator.sight.actions import Answer, Found, Order, Ordered
-from lfield.operator.sight.reach import Reach
+from lfield.operator.sight.following.reach import Reach
 from lfield.wire.observing import EmergencyStop, EmergencyStopped, Pause, Status
 
 #: What each order is as a message, by which rights are looked up.

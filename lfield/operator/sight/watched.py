@@ -20,12 +20,12 @@ from lfield.operator.addressed import Party
 from lfield.operator.ask import brought, observer, own_keys
 from lfield.operator.query import Asked, read_asked
 from lfield.operator.sight.actions import Actions
-from lfield.operator.sight.follower import Follower
+from lfield.operator.sight.following.follower import Follower
+from lfield.operator.sight.following.reach import Reach
 from lfield.operator.sight.orders import Orders
-from lfield.operator.sight.reach import Reach
-from lfield.operator.sight.roll import Roll, roll_of
+from lfield.operator.sight.picture.roll import Roll, roll_of
+from lfield.operator.sight.picture.team_picture import Picture
 from lfield.operator.sight.seen import Curve, Seen
-from lfield.operator.sight.team_picture import Picture
 from lfield.wire.watching import Events
 
 #: How often a second each device and agent is told of.

@@ -9,8 +9,8 @@ import pytest
 from sight_script import Teller
 
 from lfield.net.transport import Link
-from lfield.operator.sight.cursor import LATEST, Cursor
-from lfield.operator.sight.follower import ASKED_EVERY, SILENT, Follower
+from lfield.operator.sight.following.cursor import LATEST, Cursor
+from lfield.operator.sight.following.follower import ASKED_EVERY, SILENT, Follower
 from lfield.simulate.network import MemoryNetwork
 from lfield.simulate.time import LoopClock, run_jumping
 from lfield.wire.events import Event, Linked, Measured, State

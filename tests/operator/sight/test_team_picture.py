@@ -11,7 +11,7 @@ from sight_script import LIFE, Teller, device, resource, roll, snapshot
 from lfield.driver.frame import Origin, Pose
 from lfield.guard.rest import UNSEEN
 from lfield.mission.bindings import Frames
-from lfield.operator.sight.team_picture import Picture
+from lfield.operator.sight.picture.team_picture import Picture
 from lfield.wire.coordinators import Known
 from lfield.wire.events import (
     Came,

@@ -10,7 +10,7 @@ from collections import deque
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
-from lfield.operator.sight.roll import Enrolled, Roll
+from lfield.operator.sight.picture.roll import Enrolled, Roll
 from lfield.operator.sight.seen import AgentSeen, HopSeen
 from lfield.wire import events
 from lfield.wire.coordinators import Known

@@ -15,7 +15,7 @@ from lfield.errors import AddressError, GreetingError, KeysError, LfieldError, N
 from lfield.net.greeting import Greeting
 from lfield.net.transport import Link, Transport
 from lfield.operator.ask import Brought
-from lfield.operator.sight.cursor import Cursor
+from lfield.operator.sight.following.cursor import Cursor
 from lfield.wire.coordinators import Transfer
 from lfield.wire.messages import Hello, Message, Ping, Refuse, Revocations
 from lfield.wire.watching import Events, Seen

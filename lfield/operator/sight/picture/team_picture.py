@@ -11,11 +11,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from lfield.driver.frame import Origin
-from lfield.operator.sight.agents import AgentEvent, Agents
-from lfield.operator.sight.curves import Curves
-from lfield.operator.sight.devices import DeviceEvent, Devices, earth_of, vehicle_of
-from lfield.operator.sight.loglines import LogLines
-from lfield.operator.sight.roll import Roll
+from lfield.operator.sight.picture.agents import AgentEvent, Agents
+from lfield.operator.sight.picture.curves import Curves
+from lfield.operator.sight.picture.devices import DeviceEvent, Devices, earth_of, vehicle_of
+from lfield.operator.sight.picture.loglines import LogLines
+from lfield.operator.sight.picture.roll import Roll
 from lfield.operator.sight.seen import (
     Curve,
     DeviceSeen,
