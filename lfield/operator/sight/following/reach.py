@@ -1,7 +1,7 @@
 """Where the hosts of a mission are found, also after they were started again: another run, other doors.
 
-A run of this computer has sockets of its own in a folder of its own, so one that is started again is not where
-the last one was. A host over a network stays where its deployment, or `--map`, says.
+A run of this computer has sockets of its own in a folder of its own, so one that is started again is not
+where the last one was. A host over a network stays where its deployment, or `--map`, says.
 """
 
 from __future__ import annotations
