@@ -47,6 +47,7 @@ class Dated(NamedTuple):
 class _Hop:
     left: tuple[Life, Event] | None = None
     came: tuple[Life, Event] | None = None
+    heard: tuple[Life, Event] | None = None
 
 
 @dataclass(slots=True)
@@ -110,10 +111,15 @@ class Timeline:
                 hop.came = (life, event)
                 self._waiting.add(("came", key))
             case _:
-                if hop.came is not None:
-                    self.clocks.before((hop.came[0], hop.came[1].up), (life, event.up))
-        if hop.left is not None and hop.came is not None:
-            self.clocks.before((hop.left[0], hop.left[1].up), (hop.came[0], hop.came[1].up))
+                hop.heard = (life, event)
+        if hop.came is not None and not isinstance(event.what, Hopped):
+            self._is_before(hop.left, hop.came)
+        if hop.came is not None and not isinstance(event.what, Left):
+            self._is_before(hop.came, hop.heard)
+
+    def _is_before(self, one: tuple[Life, Event] | None, other: tuple[Life, Event] | None) -> None:
+        if one is not None and other is not None:
+            self.clocks.before((one[0], one[1].up), (other[0], other[1].up))
 
     # --- out ------------------------------------------------------------------------------------------
 
