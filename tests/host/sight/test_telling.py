@@ -27,7 +27,8 @@ class Rig:
         self.agents: dict[str, SimpleNamespace] = {}
         called = SimpleNamespace(id="gate", host=1)
         machine = SimpleNamespace(agents=self.agents, calling=lambda agent: (called, "pass"))
-        self.hops = Hops(self.teller, machine, "a", ["a", "b"])  # type: ignore[arg-type]
+        team = SimpleNamespace(hosts=["a", "b"], coordinators=[SimpleNamespace(id="w")])
+        self.hops = Hops(self.teller, machine, "a", team)  # type: ignore[arg-type]
 
     def agent(self, sequence: int, *, frozen: bool = True) -> None:
         self.agents["w"] = SimpleNamespace(id="w", generation=1, sequence=sequence, frozen=frozen)
@@ -88,6 +89,22 @@ def test_what_came_and_was_refused_has_not_come(rig: Rig) -> None:
     rig.hops.goes("w", 1)
     assert rig.last == (0, events.Came("w", 1, 7, "b", 544))
     rig.hops.goes("w", 1)
+    assert len(rig.told) == 1
+
+
+def test_of_coordinators_that_nobody_knows_nothing_is_kept(rig: Rig) -> None:
+    for n in range(100):
+        rig.hops.arrives("b", Transfer(f"stranger{n}", 1, 5, 3, HASH, 7, 544))
+    rig.agents["stranger1"] = SimpleNamespace(id="stranger1", generation=1, sequence=5, frozen=True)
+    rig.hops.goes("stranger1", 1)
+    assert rig.told == []
+
+
+def test_the_end_of_a_call_is_not_told_once_nobody_watches(rig: Rig) -> None:
+    rig.teller.began(1, "w", "gate", "pass")
+    assert rig.teller.is_told(1)
+    rig.teller.forget_calls()
+    rig.teller.ended(1, "done")
     assert len(rig.told) == 1
 
 
