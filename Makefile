@@ -96,12 +96,13 @@ $(VENV)/.measured: $(VENV)/.tested deploy/locks/bench.txt
 
 LOCK = printf 'editables\nhatchling\n' | $(BIN)/uv pip compile --quiet --upgrade --universal --python-version 3.11 \
 	--generate-hashes --no-header --no-annotate --no-emit-index-url \
-	$(addprefix --extra ,$(2) $(3) $(4)) --output-file deploy/locks/$(1).txt pyproject.toml -
+	$(addprefix --extra ,$(2) $(3) $(4) $(5)) --output-file deploy/locks/$(1).txt pyproject.toml -
 
 # Takes the newest versions that pyproject.toml allows, for every Python and processor it names, and tries them.
 locks: $(VENV)/.tested
 	$(INSTALL) uv
-	$(call LOCK,run,all) && $(call LOCK,test,all,test) && $(call LOCK,bench,all,test,bench)
+	$(call LOCK,run,all) && $(call LOCK,watch,watch) && \
+		$(call LOCK,test,all,watch,test) && $(call LOCK,bench,all,watch,test,bench)
 	$(MAKE) test
 
 clean:
