@@ -22,7 +22,7 @@ FOREIGN_PAGE = "another page asks for this, and only the page of 'lfield watch' 
 
 @dataclass(frozen=True, slots=True)
 class Knock:
-    """A request, as far as it says who asks: three headers, '' for none, and whether it may change anything."""
+    """A request, as far as it says who asks: three headers, '' for none, and whether it acts."""
 
     host: str
     origin: str = ""

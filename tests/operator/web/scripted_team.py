@@ -9,6 +9,7 @@ import argparse
 import asyncio
 import math
 import sys
+import threading
 import time
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -278,12 +279,10 @@ async def main() -> None:
     loop = asyncio.get_running_loop()
 
     def read() -> None:
-        line = sys.stdin.readline()
-        if not line:
-            loop.remove_reader(sys.stdin)
-        script.do(line.split())
+        for line in sys.stdin:
+            loop.call_soon_threadsafe(script.do, line.split())
 
-    loop.add_reader(sys.stdin, read)
+    threading.Thread(target=read, daemon=True).start()
     tiles = Tiles(args.tiles) if args.tiles else None
     served = Served("first-flight", script, script, SystemClock(), tiles)
     await serve(served, listening(args.port), lambda link: print(link, flush=True))

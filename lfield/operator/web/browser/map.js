@@ -18,6 +18,18 @@ function roundStep(metres) {
   return [1, 2, 5, 10].map((step) => step * power).find((step) => step >= metres);
 }
 
+// Names that would lie on others are left out, but for that of the vehicle that is looked at.
+function unhidden(vehicles, selected) {
+  const taken = [];
+  const free = (v) => taken.every((t) => Math.abs(t.x - v.x) > 64 || Math.abs(t.y - v.y) > 27);
+  const first = [...vehicles].sort((a, b) => (b.agent === selected) - (a.agent === selected));
+  for (const v of first) {
+    v.named = free(v);
+    if (v.named) taken.push(v);
+  }
+  return vehicles;
+}
+
 export default {
   props: { look: Object, tiles: Object, selected: String, resources: String },
   emits: ["select"],
@@ -41,8 +53,8 @@ export default {
           <path v-if="v.heading !== null" class="dart" d="M0 -11 L7.5 8.5 L0 4.5 L-7.5 8.5 z"
                 :transform="'rotate(' + v.heading * 180 / Math.PI + ')'"/>
           <circle v-else class="dart" r="6"/>
-          <text class="name" x="15" y="-1">{{ v.agent }}</text>
-          <text v-if="v.height !== null && placed.length <= 24" class="small" x="15" y="12">{{ metres(v.height) }}</text>
+          <text v-if="v.named" class="name" x="15" y="-1">{{ v.agent }}</text>
+          <text v-if="v.named && v.height !== null" class="small" x="15" y="12">{{ metres(v.height) }}</text>
         </g>
         <g v-for="dock in docks" :key="dock.host" class="dock" :class="{old: !dock.linked}"
            :transform="'translate(' + dock.x + ' ' + dock.y + ')'">
@@ -67,7 +79,7 @@ export default {
     placed() {
       if (this.moved < 0 || !this.map) return [];
       const found = this.look.vehicles.map((v) => ({ ...v, at: this.spot(v), latched: v.devices.some((d) => d.latched) })).filter((v) => v.at);
-      return found.map((v) => ({ ...v, ...this.pixel(v.at) }));
+      return unhidden(found.map((v) => ({ ...v, ...this.pixel(v.at) })), this.selected);
     },
     docks() {
       if (this.moved < 0 || !this.map) return [];
@@ -186,11 +198,11 @@ export default {
       if (!this.map || !spots.length) return;
       const team = L.latLngBounds(spots);
       const reach = this.earth ? 1e-4 : 6;
-      const least = team.extend([team.getNorth() + reach, team.getEast() + reach]).extend([team.getSouth() - reach, team.getWest() - reach]);
+      const least = L.latLngBounds(spots).extend([team.getNorth() + reach, team.getEast() + reach]).extend([team.getSouth() - reach, team.getWest() - reach]);
       const seen = this.map.getBounds();
       const room = (seen.getNorth() - seen.getSouth()) / (least.getNorth() - least.getSouth());
       const wide = (seen.getEast() - seen.getWest()) / (least.getEast() - least.getWest());
-      if (!seen.contains(least) || Math.min(room, wide) > 2.5) this.map.fitBounds(least.pad(0.25), { animate: false });
+      if (!seen.contains(least) || Math.min(room, wide) > 2.2) this.map.fitBounds(least.pad(0.2), { animate: false });
     },
   },
   created() {

@@ -18,15 +18,15 @@ const COLOURS = ["#2f6690", "#c8553d", "#588157", "#8d6a9f", "#b08968", "#3a7d7c
 function options(kind, curves) {
   const ink = getComputedStyle(document.documentElement).getPropertyValue("--faint");
   const line = getComputedStyle(document.documentElement).getPropertyValue("--line");
-  const minutes = (value) => (value === 0 ? "now" : `${Math.round(value / 6) / 10} min`);
+  const minutes = (value) => (value === 0 ? "now" : `${-value / 60} min`);
   const axis = { axisLabel: { color: ink, fontSize: 11 }, splitLine: { lineStyle: { color: line } } };
   return {
     animation: false,
     color: COLOURS,
     grid: { left: 44, right: 14, top: 12, bottom: 24 },
     tooltip: { trigger: "axis", confine: true, valueFormatter: (value) => Number(value).toPrecision(3) },
-    xAxis: { type: "value", max: 0, ...axis, splitLine: { show: false }, axisLabel: { ...axis.axisLabel, formatter: minutes } },
-    yAxis: { type: "value", min: kind.min, max: kind.max, scale: kind.min === undefined, ...axis },
+    xAxis: { type: "value", min: -600, max: 0, interval: 120, ...axis, axisLine: { lineStyle: { color: line } }, splitLine: { show: false }, axisLabel: { ...axis.axisLabel, formatter: minutes } },
+    yAxis: { type: "value", splitNumber: 4, axisLine: { show: false, onZero: false }, axisTick: { show: false }, min: kind.min, max: kind.max, scale: kind.min === undefined, ...axis },
     series: curves.map((curve) => ({
       type: "line",
       name: curve.of,

@@ -15,7 +15,7 @@ export default {
   components: { TeamMap, Plots },
   props: { title: String, resourcePath: String },
   template: `
-  <div class="watch" :class="{stale, stopped: look?.stands}">
+  <div class="watch" :class="{stale, halted: look?.stands}">
     <header>
       <button type="button" class="stop" data-testid="stop" :disabled="Boolean(barred.stop)" :title="barred.stop"
               @click="press('stop')">STOP</button>
@@ -59,43 +59,42 @@ export default {
       <section class="panel vehicles" aria-label="Vehicles">
         <h2>Vehicles</h2>
         <table>
-          <thead><tr><th scope="col">Vehicle</th><th scope="col">Mode</th><th scope="col" class="number">Height</th><th scope="col" class="number">Battery</th><th scope="col" class="number">Link</th><th scope="col" class="number wide">East, north</th><th scope="col">Safe state</th></tr></thead>
+          <thead><tr><th scope="col">Vehicle</th><th scope="col">State</th><th scope="col" class="number">Height</th><th scope="col" class="number">Battery</th><th scope="col" class="number">Link</th><th scope="col" class="number wide">East, north (m)</th></tr></thead>
           <tbody>
             <tr v-for="v in look.vehicles" :key="v.agent" :data-testid="'vehicle-' + v.agent"
                 :class="{old: !v.fresh, selected: v.agent === selected}" @mouseenter="selected = v.agent" @mouseleave="selected = ''">
               <th scope="row"><i class="lamp" :class="lamp(v)"></i>{{ v.agent }}<small>{{ v.host }}</small></th>
-              <td>{{ v.mode || "–" }}<small v-if="v.armed !== null">{{ v.armed ? "armed" : "disarmed" }}</small></td>
+              <td>{{ v.mode || "–" }}<small v-if="v.armed !== null">{{ v.armed ? "armed" : "disarmed" }}</small><template v-for="d in v.devices" :key="d.name"><span v-if="d.latched" class="latch" :class="{bad: !d.confirmed}"
+                  :data-testid="'latch-' + d.name.replace('.', '-')" :title="d.latched">{{ latchWords(d) }}</span></template></td>
               <td class="number" :data-testid="'height-' + v.agent">{{ metres(v.height) }}</td>
               <td class="number" :class="{low: v.battery !== null && v.battery < 0.2}">{{ share(v.battery) }}</td>
               <td class="number" :class="{low: v.link !== null && v.link > 3}">{{ age(v.link) }}</td>
               <td class="number wide" :data-testid="'place-' + v.agent">{{ place(v) }}</td>
-              <td><template v-for="d in v.devices" :key="d.name"><span v-if="d.latched" class="latch" :class="{bad: !d.confirmed}"
-                  :data-testid="'latch-' + d.name.replace('.', '-')" :title="d.latched">{{ latchWords(d) }}</span></template></td>
             </tr>
           </tbody>
         </table>
         <p v-if="!look.vehicles.length" class="none">No agent of this team has devices.</p>
       </section>
-      <section class="panel" aria-label="Coordinators">
+      <section class="panel coordinators" aria-label="Coordinators">
         <h2>Coordinators</h2>
         <article v-for="c in look.coordinators" :key="c.agent" :data-testid="'coordinator-' + c.agent" :class="{old: !c.fresh}">
           <h3>{{ c.agent }}<small>{{ where(c) }}</small></h3>
           <p v-if="c.line || c.waits" class="line"><code v-if="c.line">{{ c.file }}:{{ c.line }}</code><template v-if="c.waits"> waits for <code>{{ c.waits }}</code></template></p>
           <p v-if="c.doubt" class="bad">{{ c.doubt }}</p>
           <p v-if="c.finished && c.detail" class="bad">{{ c.detail }}</p>
-          <p class="hops">{{ c.hops }} hop{{ c.hops === 1 ? "" : "s" }}<span v-for="hop in c.trail.slice(-3).reverse()" :key="hop.number" class="hop">{{ hop.of }} → {{ hop.to }}{{ hop.failed ? ", failed" : hop.seconds === null ? "" : ", " + duration(hop.seconds) }}</span></p>
+          <p class="hops"><span class="hop">{{ c.hops }} hop{{ c.hops === 1 ? "" : "s" }}</span><span v-for="hop in c.trail.slice(-3).reverse()" :key="hop.number" class="hop">{{ hop.of }} → {{ hop.to }}{{ hop.failed ? ", failed" : hop.seconds === null ? "" : ", " + duration(hop.seconds) }}</span></p>
         </article>
         <p v-if="!look.coordinators.length" class="none">No coordinator was heard of yet.</p>
       </section>
-      <section class="panel" aria-label="Hosts">
+      <section class="panel hosts" aria-label="Hosts">
         <h2>Hosts</h2>
-        <ul class="hosts">
+        <ul>
           <li v-for="host in look.hosts" :key="host.host" :data-testid="'host-' + host.host" :class="{old: !host.linked}">
             <i class="lamp" :class="host.linked ? 'well' : 'gone'"></i><b>{{ host.host }}</b><span>{{ hostWords(host) }}</span>
           </li>
         </ul>
       </section>
-      <section class="panel" aria-label="Who can do it">
+      <section class="panel who" aria-label="Who can do it">
         <h2>Who can do it</h2>
         <form @submit.prevent="question">
           <input v-model="asked" data-testid="query" aria-label="Question" placeholder="Lift where payload >= 2.0" autocomplete="off" spellcheck="false" maxlength="4000"/>
@@ -181,7 +180,7 @@ export default {
     },
     latchWords(d) {
       if (!d.confirmed) return "not confirmed";
-      return d.moving ? d.moving : "safe";
+      return `safe, ${d.moving || "at rest"}`;
     },
     where(c) {
       if (c.finished) return `${c.finished} at ${c.host}`;
