@@ -85,6 +85,7 @@ def status_of(
             for held in core.reserving.held
         ],
         bundle=_bundle(core.mission.release),
+        stopped=clip(core.coordinators.stopped),
     )
 
 
