@@ -16,8 +16,8 @@ import msgspec
 from lfield.operator.sight.actions import Order
 from lfield.operator.sight.seen import Curve, LogLine, Seen, Sight, VehicleSeen
 
-#: Seconds between two looks, at least: never more than 5 updates a second, however many browsers ask.
-EVERY = 0.2
+#: Seconds between two looks, at least, however many browsers ask; one asks five times a second (server.js).
+EVERY = 0.05
 #: So many lines of the log a page gets at once, the newest: it keeps no more.
 LINES = 400
 #: So many points a curve of a plot has at most.

@@ -22,7 +22,7 @@ def looks_of(script: Script, time: Time) -> Looks:
     return Looks(script, lambda: script.barred, None, time)
 
 
-def test_never_more_than_five_a_second_however_many_ask():
+def test_never_more_than_twenty_a_second_however_many_ask():
     time = Time()
     script = Script(2, now=time)
     looks = looks_of(script, time)
