@@ -44,9 +44,10 @@ class Write(Struct, frozen=True):
 
 
 class Say(Struct, frozen=True):
-    """A line for the log."""
+    """A line for the log. `told`: its event is told already, as that of a program is."""
 
     text: str
+    told: bool = False
 
 
 class Complain(Struct, frozen=True):
@@ -81,11 +82,15 @@ class CancelCall(Struct, frozen=True):
 
 
 class MakeSafe(Struct, frozen=True):
-    """Bring a device of this host into a safe state of its manifest, and hold it there."""
+    """Bring a device of this host into a safe state of its manifest, and hold it there.
+
+    `users` are the coordinators that have left it without anybody who looks after it.
+    """
 
     device: str
     state: str
     reason: str
+    users: tuple[str, ...] = ()
 
 
 class Died(Struct, frozen=True):

@@ -94,13 +94,14 @@ class Came(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag
 
 
 class Hopped(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag="hopped"):
-    """Whoever sent it has heard that it came, so many `seconds` after it had left."""
+    """Whoever sent it has heard that it came, so many `seconds` after it had left; None where it left in an
+    earlier life of this host."""
 
     agent: Name
     generation: Ordinal
     sequence: Ordinal
     to: Name
-    seconds: Age
+    seconds: Age | None
 
 
 class Stayed(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag="stayed"):

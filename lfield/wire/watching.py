@@ -1,4 +1,4 @@
-"""How somebody follows the events of a host (`events`): what a watcher asks, hears, and says that it has seen.
+"""How somebody follows the events of a host: what a watcher asks and hears, and says that it has seen.
 
 The watcher decides how much may be on its way: a host sends no more than WINDOW batches beyond the last one
 that was seen, so one that stops reading costs its host a bounded number of bytes. Messages as in `messages`.

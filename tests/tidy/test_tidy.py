@@ -26,7 +26,6 @@ TABLES: dict[str, str] = {
 }
 #: Shorter than others, each one idea that nothing else is about.
 SMALL = {
-    "lfield/authority/rights.py": "a table: which message takes which right",
     "lfield/authority/keys.py": "keys as bytes, and the names of their files",
     "lfield/authority/minted.py": "keys of one run, in memory",
     "lfield/host/team/absent.py": "whom nobody waits for",
@@ -40,7 +39,10 @@ SMALL = {
     "lfield/driver/settings.py": "a value that drivers and hosts share",
     "lfield/host/process/leash.py": "what a host hears from whoever started it",
     "lfield/host/process/stop_words.py": "what ends a host",
+    "lfield/host/dumping.py": "where the block of a dead agent goes",
     "lfield/host/logbook.py": "the two streams of a host",
+    "lfield/host/sight/budget.py": "how much is told of what happens too often",
+    "lfield/host/sight/stream.py": "the ring of a host's states",
     "lfield/host/surroundings.py": "what the core may look at",
     "lfield/net/control.py": "the door of a fake, from outside",
     "lfield/net/guests.py": "who may wait at the door before the greeting",

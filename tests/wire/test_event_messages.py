@@ -32,6 +32,7 @@ BY_TYPE = {
     "Count": st.integers(0, 2**63 - 1),
     "Ordinal": st.integers(0, 2**62),
     "Age": SECONDS,
+    "Age | None": SECONDS | st.none(),
     "bool": st.booleans(),
     "Outcome": st.sampled_from(["done", "died", "lost", "superseded"]),
     "Literal['log', 'out']": st.sampled_from(["log", "out"]),

@@ -12,8 +12,9 @@ from functools import partial
 from lfield.clock import Clock
 from lfield.errors import BlockError
 from lfield.host.effects import CHANGED, Effect, Keep, Say
+from lfield.host.sight.hops import Hops
 from lfield.host.team.absent import Absent
-from lfield.host.team.keeping import Keeping, Recovery, explanation
+from lfield.host.team.keeping import Keeping, Recovery, asleep, explanation
 from lfield.journal.pages import BundlePage, Key, Page, Run, Starts
 from lfield.mission.mission import Mission
 from lfield.mobility import effects as mobile
@@ -46,9 +47,10 @@ class Coordinators:
         unreachable_after: float,
         pages: Iterable[Page],
         times: Mapping[Key, float],
+        hops: Hops,
     ) -> None:
-        self._mission, self._own, self._machine, self._clock = mission, own, machine, clock
-        self._out, self._times = effects, times
+        self._mission, self._own, self._machine, self._clock, self._hops = mission, own, machine, clock, hops
+        self._out, self._since = effects, partial(asleep, times, clock)
         self._members = {member.id: member for member in mission.team.coordinators}
         self.mobility = Mobility(
             own,
@@ -305,7 +307,7 @@ class Coordinators:
         member = self._members[copy.agent]
         try:
             limits = self._mission.bindings.limits(member.id)
-            agent = self._machine.restore(member, memoryview(copy.block), limits, self._asleep(copy))
+            agent = self._machine.restore(member, memoryview(copy.block), limits, self._since(copy))
         except BlockError as error:
             self.say(f"{copy.agent} cannot go on: what was kept of it cannot be read: {error}")
             return None
@@ -324,11 +326,6 @@ class Coordinators:
             self._resume(agent, RESTARTED, reason, recovered=recovered)
         return seal
 
-    def _asleep(self, copy: Copy) -> float:
-        """For how many seconds a coordinator lay on the disk, as far as the wall clock tells; else 0."""
-        kept = self._times.get(Key("copy", copy.agent, copy.generation))
-        return 0.0 if kept is None else max(0.0, self._clock.time() - kept)
-
     def _start(self, agent: str, generation: int) -> None:
         self._machine.start(self._members[agent], self._mission.bindings.limits(agent), generation)
 
@@ -338,6 +335,7 @@ class Coordinators:
             self._effect(effect)
 
     def _effect(self, effect: mobile.Effect) -> None:
+        self._hops.tell(effect)
         match effect:
             # Those of every hop come first.
             case mobile.SendTransfer():
@@ -375,6 +373,7 @@ class Coordinators:
 
     def _resume(self, agent: Agent, kind: str, reason: str, *, recovered: bool = False) -> None:
         """Let a frozen coordinator go on with an exception, which names the resource that it has called."""
+        self._hops.stays(agent, kind, reason, recovered=recovered)
         called = self._machine.calling(agent)
         if called and kind == RESTARTED:
             # Who has forgotten what it was about needs the portal too; there is none where it reserves.

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from lfield.mission.bindings import Frames
-from lfield.operator.sight.places import Instruments
-from lfield.operator.sight.roll import Enrolled, Roll
+from lfield.operator.sight.picture.places import Instruments
+from lfield.operator.sight.picture.roll import Enrolled, Roll
 from lfield.wire.events import Event, Measured, Standing, State
 from lfield.wire.fields import Telemetry
 from lfield.wire.observing import (

@@ -11,7 +11,7 @@ from sight_script import LIFE, Teller, device, resource, roll, snapshot
 from lfield.driver.frame import Origin, Pose
 from lfield.guard.rest import UNSEEN
 from lfield.mission.bindings import Frames
-from lfield.operator.sight.team_picture import Picture
+from lfield.operator.sight.picture.team_picture import Picture
 from lfield.wire.coordinators import Known
 from lfield.wire.events import (
     Came,
@@ -376,3 +376,16 @@ def test_a_revision_grows_with_what_is_told_and_not_with_time() -> None:
     assert story.seen.revision == before
     story.tell("alpha", Linked("beta"))
     assert story.seen.revision > before
+
+
+def test_what_a_snapshot_has_told_the_end_of_changes_nothing_any_more() -> None:
+    story = Story()
+    host = story.hosts["alpha"]
+    old = host.batch(1.0, Started("boss", 1), HOP["left"][1], Latched("one.fc", "land", "x"), Logged("hi"))
+    up = story.now - 50.0
+    story.picture.told("alpha", host.batch(up, snapshot=snapshot("alpha")), story.now, 1.7e9)
+    story.picture.told("alpha", old, story.now, 1.7e9)
+    boss = story.seen.agents["boss"]
+    assert (boss.to, [hop.to for hop in boss.trail]) == ("", ["beta"])
+    assert not story.seen.vehicles["one"].latched
+    assert [line.text for line in story.seen.log] == ["hi"]

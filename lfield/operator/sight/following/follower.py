@@ -1,7 +1,7 @@
 """Follows the streams of hosts: a link to each, made anew after every cut, and what comes goes to one hearer.
 
-The shell of `Cursor`, which knows what to ask for. A host that says nothing is asked for a sign; one that
-gives none has no link any more, however long the network takes to see it.
+The shell of `Cursor`, which knows what to ask for. A host tells something every second, be it that nothing
+happened; one that says nothing has no link any more, however long the network takes to see it.
 """
 
 from __future__ import annotations
@@ -11,19 +11,17 @@ from collections.abc import Awaitable, Callable, Sequence
 from typing import Protocol
 
 from lfield.clock import Clock
-from lfield.errors import AddressError, GreetingError, KeysError, LfieldError, NobodyListens, WireError
+from lfield.errors import GreetingError, KeysError, LfieldError, NobodyListens, WireError
 from lfield.net.greeting import Greeting
 from lfield.net.transport import Link, Transport
 from lfield.operator.ask import Brought
-from lfield.operator.sight.cursor import Cursor
+from lfield.operator.sight.following.cursor import Cursor
 from lfield.wire.coordinators import Transfer
-from lfield.wire.messages import Hello, Message, Ping, Refuse, Revocations
+from lfield.wire.messages import Hello, Message, Refuse, Revocations
 from lfield.wire.watching import Events, Seen
 
-#: A host is asked for a sign every so many seconds, and has no link any more when it gave none for so many.
-ASKED_EVERY, SILENT = 2.0, 6.0
-#: So long a link may take to greet, in seconds.
-GREETED_WITHIN = 8.0
+#: Whoever is silent for so many seconds is given up; a look is taken every so many.
+SILENT, LOOK = 6.0, 1.0
 
 
 class Hearer(Protocol):
@@ -119,7 +117,7 @@ class Watching:
                 )
             self._greeting = Greeting(Hello("observer", "observer", 0), link.who, dialled=self._host)
             link.send(self._greeting.begin())
-            self._timer = asyncio.get_running_loop().call_later(ASKED_EVERY, self._ask, link)
+            self._timer = asyncio.get_running_loop().call_later(LOOK, self._look)
         return self._greeting
 
     def on_message(self, link: Link, message: Message) -> None:
@@ -149,20 +147,13 @@ class Watching:
         self._hearer.told(self._host, self._cursor.took(batch), took)
         link.send(Seen(batch.batch))
 
-    def _ask(self, link: Link) -> None:
-        """Ask for a sign, and give up on a host that gives none."""
+    def _look(self) -> None:
+        """Give up on a host that says nothing."""
         silent = self._clock.monotonic() - self._heard
-        greeted = self._greeting is not None and self._greeting.peer is not None
-        if silent >= (SILENT if greeted else GREETED_WITHIN):
+        if silent >= SILENT:
             self._over(f"nothing was heard of it for {silent:.0f} s")
             return
-        if greeted:
-            try:
-                link.send(Ping(0))
-            except AddressError as error:
-                self._over(str(error))
-                return
-        self._timer = asyncio.get_running_loop().call_later(ASKED_EVERY, self._ask, link)
+        self._timer = asyncio.get_running_loop().call_later(LOOK, self._look)
 
     def on_transfer(self, link: Link, header: Transfer, block: memoryview) -> None:
         """Nobody sends one to an observer."""

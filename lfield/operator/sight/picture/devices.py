@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 
 from lfield.driver.frame import Origin
 from lfield.guard.rest import UNSEEN
-from lfield.operator.sight.places import USUAL, Instruments, earth, in_frame, local, number, on_earth
-from lfield.operator.sight.roll import Enrolled, Roll
+from lfield.operator.sight.picture.places import USUAL, Instruments, earth, in_frame, local, number, on_earth
+from lfield.operator.sight.picture.roll import Enrolled, Roll
 from lfield.operator.sight.seen import DeviceSeen, Earth, Reading, VehicleSeen
 from lfield.wire.events import Confirmed, Latched, Measured, Moving, Released
 from lfield.wire.fields import Telemetry

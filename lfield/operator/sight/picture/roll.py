@@ -11,7 +11,7 @@ from lfield.driver.known import Drivers
 from lfield.mission.bindings import Frames
 from lfield.mission.mission import Mission
 from lfield.mission.team import Team
-from lfield.operator.sight.places import Instruments, instruments_of
+from lfield.operator.sight.picture.places import Instruments, instruments_of
 from lfield.operator.sight.seen import Local
 
 Kind = Literal["coordinator", "resource"]

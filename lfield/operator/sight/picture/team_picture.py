@@ -11,11 +11,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from lfield.driver.frame import Origin
-from lfield.operator.sight.agents import AgentEvent, Agents
-from lfield.operator.sight.curves import Curves
-from lfield.operator.sight.devices import DeviceEvent, Devices, earth_of, vehicle_of
-from lfield.operator.sight.loglines import LogLines
-from lfield.operator.sight.roll import Roll
+from lfield.operator.sight.picture.agents import AgentEvent, Agents
+from lfield.operator.sight.picture.curves import Curves
+from lfield.operator.sight.picture.devices import DeviceEvent, Devices, earth_of, vehicle_of
+from lfield.operator.sight.picture.loglines import LogLines
+from lfield.operator.sight.picture.roll import Roll
 from lfield.operator.sight.seen import (
     Curve,
     DeviceSeen,
@@ -59,6 +59,8 @@ class _Host:
     offers: dict[str, str] = field(default_factory=dict)
     lost: Counter[str] = field(default_factory=Counter)
     refusals: Mapping[str, str] = field(default_factory=dict)
+    #: The number of the last event that a snapshot has told what came of.
+    past: int = 0
 
     def when(self, up: float, now: float) -> float:
         """When that was on our clock, what its own showed then; not later than now."""
@@ -102,6 +104,7 @@ class Picture:
             self._happened(name, host, event, now)
         if batch.snapshot is not None:
             self._status(name, host, batch.snapshot, now)
+            host.past = batch.latest
 
     def answered(self, name: str, answer: EmergencyStopped) -> None:
         """What a host has said to a stop or a pause: the devices that are not safe, with the reasons."""
@@ -140,16 +143,19 @@ class Picture:
 
     def _happened(self, name: str, host: _Host, event: Event, now: float) -> None:
         when, what = host.when(event.up, now), event.what
+        is_past = event.number <= host.past and not isinstance(what, events.Measured | events.Standing)
         if isinstance(what, AgentEvent):
-            self._agents.told(name, what, when)
-        elif isinstance(what, DeviceEvent):
-            self._devices.told(name, what, when)
-        elif isinstance(what, events.Ended):
-            self._agents.served(name, what.resource)
+            self._agents.told(name, what, when, is_past=is_past)
         elif isinstance(what, events.Printed):
             self._log.printed(name, event.at, when, what)
         elif isinstance(what, events.Logged):
             self._log.add(name, event.at, when, "", what.text)
+        elif is_past:
+            _began(host, what, when)
+        elif isinstance(what, DeviceEvent):
+            self._devices.told(name, what, when)
+        elif isinstance(what, events.Ended):
+            self._agents.served(name, what.resource)
         else:
             _stands(host, what, when)
 
@@ -252,6 +258,12 @@ class Picture:
         return StopSeen(
             first.stopped, first.stopped_by, age, tuple(stopped), tuple(confirmed), unconfirmed, unreached
         )
+
+
+def _began(host: _Host, what: object, when: float) -> None:
+    """When what a snapshot has shown began, and by whom."""
+    if isinstance(what, events.Stopped) and host.stopped and not what.lifted:
+        host.stopped_by, host.stopped_at = what.by, when
 
 
 def _stands(host: _Host, what: object, when: float) -> None:

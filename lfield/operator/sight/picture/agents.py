@@ -10,7 +10,7 @@ from collections import deque
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
-from lfield.operator.sight.roll import Enrolled, Roll
+from lfield.operator.sight.picture.roll import Enrolled, Roll
 from lfield.operator.sight.seen import AgentSeen, HopSeen
 from lfield.wire import events
 from lfield.wire.coordinators import Known
@@ -21,17 +21,15 @@ TRAIL = 12
 #: What happened longer ago (s) is no matter of hops a minute.
 MINUTE = 60.0
 
-#: What an event is that tells of an agent.
+#: The parts of a hop, and all that tells of an agent.
+HopEvent = events.Left | events.Came | events.Hopped | events.Stayed
 AgentEvent = (
-    events.Started
+    HopEvent
+    | events.Started
     | events.Finished
     | events.Doubted
     | events.Recovered
     | events.Superseded
-    | events.Left
-    | events.Came
-    | events.Hopped
-    | events.Stayed
     | events.Standing
 )
 
@@ -107,13 +105,18 @@ class Agents:
         self._known = {name: _Agent(enrolled, enrolled.host) for name, enrolled in roll.agents.items()}
         self._kinds: dict[str, str] = {name: enrolled.kind for name, enrolled in roll.agents.items()}
 
-    def told(self, host: str, event: AgentEvent, when: float) -> None:
-        """An event of a host that happened at `when`."""
+    def told(self, host: str, event: AgentEvent, when: float, *, is_past: bool = False) -> None:
+        """An event of a host that happened at `when`.
+
+        Of one that `is_past`, since a snapshot has told what came of it, only the hop itself is new.
+        """
         agent = self._agent(event.agent, host)
+        if is_past and not isinstance(event, HopEvent):
+            return
         match event:
             case events.Left() | events.Came() | events.Hopped() | events.Stayed():
                 self._kinds[event.agent] = "coordinator"
-                _hopped(agent, host, event, when)
+                _hopped(agent, host, event, when, is_past=is_past)
             case events.Standing(_, state, file, line, waits):
                 if agent.host == host and not agent.finished:
                     agent.stands(state, file, line, waits)
@@ -225,12 +228,10 @@ def _shown(hop: _Hop, now: float) -> HopSeen:
     )
 
 
-def _hopped(
-    agent: _Agent, host: str, event: events.Left | events.Came | events.Hopped | events.Stayed, when: float
-) -> None:
+def _hopped(agent: _Agent, host: str, event: HopEvent, when: float, *, is_past: bool) -> None:
     """A part of a hop, in any order: what was heard of the hop before counts, and what comes is added."""
     generation, sequence = event.generation, event.sequence
-    hop, is_old = agent.hop(generation, sequence), agent.outdates(generation, sequence)
+    hop, is_old = agent.hop(generation, sequence), is_past or agent.outdates(generation, sequence)
     match event:
         case events.Left(_, _, _, to, resource, portal, size):
             if hop is None:
