@@ -29,6 +29,7 @@ COMMANDS = {
     "test": "run the tests of missions on virtual time, and draw the tracks",
     "up": "run the hosts of a deployment",
     "ps": "show what runs where",
+    "watch": "show a running team in a page of the browser, with STOP on it",
     "query": "tell who of a team can do something, and why the others cannot",
     "capabilities": "read, check and extend the registry of capabilities",
     "estop": "bring every device of a running mission into its safe state",
@@ -46,7 +47,7 @@ COMMANDS = {
 _ROOMS = {
     "desk": ("check", "build", "disasm", "test", "inspect", "capabilities", "keys", "sign"),
     "run": ("up",),
-    "team": ("ps", "query", "estop", "pause", "resume", "forget", "recover"),
+    "team": ("ps", "watch", "query", "estop", "pause", "resume", "forget", "recover"),
     "robot": ("doctor", "driver", "setup", "kit", "sim"),
 }
 #: The module of every subcommand.
@@ -59,6 +60,7 @@ ORDERLY = {
     "up": ("mission.bundle", "mission.cache", "operator.runs", "host.process.run"),
     "estop": ("operator.addressed", "operator.descent", "operator.runs"),
     "pause": ("operator.addressed", "operator.descent", "operator.runs"),
+    "watch": ("operator.addressed", "operator.runs", "operator.sight.watched"),
     "doctor": ("operator.doctor", "mission.load"),
     "setup": ("devices.setup", "mission.load"),
     "test": ("mission.load",),

@@ -5,6 +5,7 @@ NiceGUI brings server, page and components; it is imported when a page is served
 
 from __future__ import annotations
 
+import asyncio
 import secrets
 import socket
 from collections.abc import Awaitable, Callable, Generator, Mapping
@@ -31,7 +32,7 @@ from lfield.operator.web.tiles import Tiles
 
 LOOPBACK = "127.0.0.1"
 #: What is written into the logs of the hosts when somebody presses STOP here.
-REASON = "the emergency stop was pressed on the page"
+REASON = "on the page of lfield watch"
 #: The longest body of a request, in bytes: the longest question has 4000 characters.
 _MOST_BYTES = 20_000
 
@@ -81,13 +82,21 @@ async def serve(served: Served, opened: socket.socket, tell: Callable[[str], Non
         gzip_middleware_factory=None,
     )
     config = uvicorn.Config(
-        Gate(app, door, f"lfield-{port}", tell_link), log_config=None, access_log=False, lifespan="on"
+        Gate(app, door, f"lfield-{port}", tell_link),
+        log_config=None,
+        access_log=False,
+        lifespan="on",
+        # Pages that are open are not waited for.
+        timeout_graceful_shutdown=1,
     )
     server = _Server(config)
+    serving = asyncio.create_task(server.serve([opened]))
     tell_link()
     try:
-        await server.serve([opened])
+        await asyncio.shield(serving)
     finally:
+        server.should_exit = True
+        await asyncio.gather(serving, return_exceptions=True)
         opened.close()
 
 

@@ -50,7 +50,7 @@ export default {
       <section class="panel log" aria-label="Log">
         <h2>Log</h2>
         <div ref="log" class="lines" data-testid="log" role="log" tabindex="0" @scroll="scrolled">
-          <p v-for="line in log" :key="line.serial"><time>{{ clock(line.at) }}</time><b>{{ line.host }}</b><span>{{ line.agent ? line.agent + ": " : "" }}{{ line.text }}</span></p>
+          <p v-for="line in log" :key="line.serial"><time>{{ clock(line.at) }}</time><b>{{ line.host }}</b><span>{{ said(line) }}</span></p>
         </div>
         <p v-for="words in losses" class="bad">{{ words }}</p>
       </section>
@@ -181,6 +181,10 @@ export default {
     latchWords(d) {
       if (!d.confirmed) return "not confirmed";
       return `safe, ${d.moving || "at rest"}`;
+    },
+    // Many programs say who speaks.
+    said({ agent, text }) {
+      return agent && !text.startsWith(`${agent}:`) ? `${agent}: ${text}` : text;
     },
     where(c) {
       if (c.finished) return `${c.finished} at ${c.host}`;
