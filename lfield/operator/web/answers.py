@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import msgspec
 
 from lfield.capability.matching.explain import render
-from lfield.capability.offer import Fact, Offer
+from lfield.capability.offer import Offer
 from lfield.operator.registry.sheets import worth
 from lfield.operator.sight.actions import Answer, Found, Ordered
 
@@ -33,26 +34,22 @@ def _found(found: Found) -> dict[str, Any]:
         "id": found.primitive.id,
         "count": found.count,
         "notes": list(found.notes),
-        "offers": [_offer(offer) for offer in found.offers],
+        "offers": [_offer(offer, found.units) for offer in found.offers],
         "refusals": render(found.refusals),
     }
 
 
-def _offer(offer: Offer) -> dict[str, Any]:
-    facts = [_fact(name, fact) for name, fact in list(offer.facts.items())[:SHOWN]]
+def _offer(offer: Offer, units: Mapping[str, str]) -> dict[str, Any]:
+    told = list(offer.facts.items())[:SHOWN]
     return {
         "agent": offer.agent,
         "host": offer.host,
         "how": "direct" if offer.kind == "direct" else f"by {offer.rule}",
         "score": offer.score,
-        "facts": facts,
+        "facts": [f"{name} {worth(fact.value, units.get(name, ''))}" for name, fact in told],
         # What stands in for it, or what it is composed of: `lfield query` draws the whole tree.
         "parts": [f"{part.agent} at {part.host}: {part.primitive}" for part in offer.parts.values()],
     }
-
-
-def _fact(name: str, fact: Fact) -> str:
-    return f"{name} {worth(fact.value, '')}"
 
 
 def ordered(order: Ordered) -> bytes:

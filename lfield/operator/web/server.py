@@ -54,6 +54,8 @@ def listening(port: int) -> socket.socket:
     opened.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     try:
         opened.bind((LOOPBACK, port))
+        # Whoever opens the link at once is not turned away.
+        opened.listen()
     except OSError as error:
         opened.close()
         raise AddressError(f"{LOOPBACK}:{port}", (error.strerror or str(error)).lower()) from None
