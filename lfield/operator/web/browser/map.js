@@ -197,7 +197,7 @@ export default {
       const spots = this.look.vehicles.map((v) => this.spot(v)).filter(Boolean);
       if (!this.map || !spots.length) return;
       const team = L.latLngBounds(spots);
-      const reach = this.earth ? 1e-4 : 6;
+      const reach = this.earth ? 4e-5 : 3;
       const least = L.latLngBounds(spots).extend([team.getNorth() + reach, team.getEast() + reach]).extend([team.getSouth() - reach, team.getWest() - reach]);
       const seen = this.map.getBounds();
       const room = (seen.getNorth() - seen.getSouth()) / (least.getNorth() - least.getSouth());

@@ -59,7 +59,7 @@ export default {
       <section class="panel vehicles" aria-label="Vehicles">
         <h2>Vehicles</h2>
         <table>
-          <thead><tr><th scope="col">Vehicle</th><th scope="col">State</th><th scope="col" class="number">Height</th><th scope="col" class="number">Battery</th><th scope="col" class="number">Link</th><th scope="col" class="number wide">East, north (m)</th></tr></thead>
+          <thead><tr><th scope="col">Vehicle</th><th scope="col">State</th><th scope="col" class="number">Height</th><th scope="col" class="number">Battery</th><th scope="col" class="number">Link</th><th scope="col" class="number wide">East, north, m</th></tr></thead>
           <tbody>
             <tr v-for="v in look.vehicles" :key="v.agent" :data-testid="'vehicle-' + v.agent"
                 :class="{old: !v.fresh, selected: v.agent === selected}" @mouseenter="selected = v.agent" @mouseleave="selected = ''">
