@@ -41,7 +41,7 @@ EXCEPTIONS: dict[str, dict[str, str]] = {
         "make chaos SECONDS=120": SUITE,
     },
     "README.md": {
-        "sudo apt-get install python3 python3-venv make git": INSTALLS,
+        "sudo apt-get install python3 python3-venv make git chromium chromium-driver": INSTALLS,
         "make demo": INSTALLS,
         "make test": SUITE,
         "make bench": SUITE,

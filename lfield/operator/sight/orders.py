@@ -154,9 +154,10 @@ class Orders:
         unheard = silent(answers)
         team = from_hosts(asked.registry, self._team.deployed, views_of(answers), unheard.keys())
         matcher = Matcher(asked.registry, team, asked.ways)
+        units = {name: attribute.unit for name, attribute in asked.registry.attributes.items()}
         found = []
         for primitive in question.primitives:
             best = matcher.find(primitive.name, question.wish)
             refusals = matcher.explain(primitive.name, question.constraint)
-            found.append(Found(primitive, best.offers, best.count, refusals, best.notes))
+            found.append(Found(primitive, best.offers, best.count, refusals, best.notes, units))
         return Answer(text, tuple(found), {host: str(why) for host, why in unheard.items()})
