@@ -104,10 +104,9 @@ async def watched(
 
     shown.actions = Orders(transport, reach, shown.picture.answered, team, asked, own, brings)
     follower = Follower(transport, reach.hosts, reach, shown, clock, telemetry=RATE, brings=brings)
-    tasks = [asyncio.create_task(follower.run()), asyncio.create_task(shown.tick())]
-    try:
+    # A bug in one of them ends whoever looks: a picture that stands still looks like peace.
+    async with asyncio.TaskGroup() as group:
+        tasks = [group.create_task(follower.run()), group.create_task(shown.tick())]
         yield shown
-    finally:
         for task in tasks:
             task.cancel()
-        await asyncio.gather(*tasks, return_exceptions=True)

@@ -6,14 +6,19 @@ Everything is measured in seconds of this processor, or counted; nothing is wait
 from __future__ import annotations
 
 import json
+import tempfile
 import time
 from collections import Counter
 from collections.abc import Callable, Sequence
+from pathlib import Path
 
 from lfield.clock import ManualClock, SystemClock
 from lfield.host.sight.stream import Stream, size_of
 from lfield.host.sight.teller import Teller
 from lfield.host.sight.watcher import LEAST, Sample, Watcher
+from lfield.host.watching.standing import sample
+from lfield.mission.load import load_mission
+from lfield.simulate.fleet import Fleet
 from lfield.wire import events
 from lfield.wire.codec import encode
 from lfield.wire.events import Event, Measured, State
@@ -24,6 +29,7 @@ from lfield.wire.watching import Watch
 SECONDS, PERCENT, COUNT = "s", "%", "messages"
 #: Vehicles, and how often a second each is told of.
 VEHICLES, RATE = 50, 5.0
+_PROGRAM = "resource Post { Mavlink fc; init(string[] arg) { } }\n"
 #: What happens when a coordinator visits a portal that commands a device, and goes on.
 VISIT: Sequence[State] = (
     events.Came("Patrol:one", 3, 120, "alpha", 1424),
@@ -100,17 +106,25 @@ def told(cases: dict[str, tuple[str, list[float]]]) -> None:
 
 
 def watched(cases: dict[str, tuple[str, list[float]]]) -> None:
-    """50 vehicles at 5 Hz, sampled and sent to one watcher: part of a processor."""
-    stream = Stream()
-    watcher, step = Watcher(stream, 1, Watch(1, 0, RATE), 0.0), 0
+    """A host with 50 copters, looked at and told to one watcher at 5 Hz: part of a processor."""
+    with tempfile.TemporaryDirectory() as folder:
+        (Path(folder) / "mission.L").write_text(_PROGRAM)
+        agents = "".join(f"//Post:copter{n}@alpha\n" for n in range(VEHICLES))
+        (Path(folder) / "mission.dL").write_text(agents)
+        fleet = Fleet(load_mission(Path(folder) / "mission.dL", simulate=True), 1)
+    fleet.run(10.0)
+    host = fleet.lives["alpha"].host
+    watcher, step = Watcher(Stream(), 1, Watch(1, 0, RATE), 0.0), 0
 
     def turn() -> None:
         nonlocal step
         # A little later than asked, as timers are.
         up = step * (1 / RATE + 1e-6)
-        watcher.sample(telemetry(step), 1.7e9, up)
+        now = sample(host.core, host.guards, host.clock.monotonic())
+        watcher.sample({key: ((step, version), what) for key, (version, what) in now.items()}, 1.7e9, up)
         made = watcher.batch(1.7e9, up + LEAST, lambda: STATUS)
         assert made is not None
+        assert len(made.events) >= VEHICLES
         encode(made)
         watcher.seen(step + 1, up)
         step += 1

@@ -91,3 +91,10 @@ def test_a_log_has_whole_lines_and_who_said_them() -> None:
     assert whole.endswith(" alpha | boss: half a line")
     two = list(view.lines(dated(Logged("one\n  two\x07"))))
     assert [line.partition(" | ")[2] for line in two] == ["one", "  two\\u{7}"]
+
+
+def test_what_a_terminal_would_obey_is_shown_in_json_and_tables_too() -> None:
+    orders = Measured("one.fc", {"mode": "\x9b2J\u202e"}, 0.0)
+    assert "\\u009b2J\\u202e" in as_json(dated(orders))
+    (row,) = Csv().rows(dated(orders))
+    assert "\\u{9b}2J\\u{202e}" in row
