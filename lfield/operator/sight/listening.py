@@ -15,6 +15,7 @@ from pathlib import Path
 from lfield.clock import Clock, SystemClock
 from lfield.operator.addressed import Party, Place
 from lfield.operator.ask import brought, observer, own_keys
+from lfield.operator.sight.following.beside import beside
 from lfield.operator.sight.following.follower import Follower
 from lfield.operator.sight.following.reach import Reach
 from lfield.operator.sight.timeline.clocks import WATCHER
@@ -153,9 +154,5 @@ async def ears(
         )
         parts.append(part)
         followers.append(follower.run())
-    # A bug in one of them ends whoever listens: silence would be taken for peace.
-    async with asyncio.TaskGroup() as group:
-        tasks = [group.create_task(run) for run in followers]
+    async with beside(*followers):
         yield Ears(parts)
-        for task in tasks:
-            task.cancel()
