@@ -167,6 +167,8 @@ class HostCore:
         Returns the seconds until it is to be called again (0: at once), None for only after an event.
         """
         now = self._clock.monotonic()
+        if now >= self.teller.due:
+            self.teller.fill(now)
         self.coordinators.tick(now)
         if self.directory.due is not None and now >= self.directory.due:
             self._effects += self.directory.tick(now)
@@ -225,6 +227,7 @@ class HostCore:
         for known in self.mobility.knowledge():
             # What is barred has no place where it may be.
             if known.state in ("PREPARED", "IN DOUBT") and known.where:
+                self._hops.is_away(known)
                 self._reach(known.where)
         self._beginning.begin(first=first)
 

@@ -13,7 +13,7 @@ from typing import Literal
 from msgspec import Struct
 
 from lfield.clock import Clock
-from lfield.host.sight.budget import Budget
+from lfield.host.sight.budget import BURST, FILLED_EVERY, Budget
 from lfield.host.sight.stream import Stream
 from lfield.wire import events
 from lfield.wire.coordinators import Outcome
@@ -22,15 +22,6 @@ from lfield.wire.fields import MAX_LABEL, age, clip
 
 #: What a device still does on its way to rest is told once in so many seconds.
 ON_THE_WAY = 1.0
-
-
-class _Away(Struct):
-    """A hop that has left and is not heard of yet: its name, its event (0: not told), and when."""
-
-    generation: int
-    sequence: int
-    number: int
-    up: float
 
 
 class _Call(Struct):
@@ -65,14 +56,16 @@ class Teller:
         self.detailed = False
         #: Called after every state.
         self.on_told: Callable[[], None] | None = None
-        self._hops, self._portals, self._commands, self._prints = Budget(), Budget(), Budget(), Budget()
+        self._budgets: list[Budget] = []
+        #: When they are to be filled up next, on the monotonic clock.
+        self.due = 0.0
+        self._portals, self._commands, self._prints = self.budget(), self.budget(), self.budget()
         #: The last event of each agent, of each device, and of the link with each host.
         self._of_agent: dict[str, int] = {}
         self._of_device: dict[str, int] = {}
         self._of_host: dict[str, int] = {}
         #: What led to the safe states that devices go into for a reason.
         self._because: dict[str, int] = {}
-        self._away: dict[str, _Away] = {}
         self._calls: dict[int, _Call] = {}
         self._instructions: dict[tuple[str, int], _Instruction] = {}
         self._asked = 0
@@ -91,101 +84,59 @@ class Teller:
             self.on_told()
         return number
 
+    def budget(self, burst: float = BURST) -> Budget:
+        """A new one, which is filled up with all others."""
+        self._budgets.append(Budget(burst))
+        return self._budgets[-1]
+
+    def fill(self, now: float) -> None:
+        """Time has passed: more can be told again."""
+        self.due = now + FILLED_EVERY
+        for budget in self._budgets:
+            budget.fill(now)
+
     def settle(self) -> None:
         """Say how much was skipped, if it is time to."""
         now = self.up
-        for budget in (self._hops, self._portals, self._commands, self._prints):
+        for budget in self._budgets:
             for skipped in budget.settle(now):
                 self.event(skipped)
 
-    def _by(self, agent: str, what: State) -> int:
-        """An event of an agent, which its last one led to."""
-        number = self._of_agent[agent] = self.event(what, self._of_agent.get(agent, 0))
+    def by(self, agent: str, what: State, cause: int | None = None) -> int:
+        """An event of an agent, which its last one led to, or another one; its number."""
+        cause = self._of_agent.get(agent, 0) if cause is None else cause
+        number = self._of_agent[agent] = self.event(what, cause)
         return number
 
     # --- agents ---------------------------------------------------------------------------------------
 
     def started(self, agent: str, generation: int, *, kept: bool = False) -> None:
         """An agent runs here."""
-        self._by(agent, events.Started(agent, generation, kept))
+        self.by(agent, events.Started(agent, generation, kept))
 
     def finished(self, agent: str, generation: int, how: Outcome, detail: str) -> None:
         """It has ended."""
-        self._by(agent, events.Finished(agent, generation, how, clip(detail)))
-
-    def doubted(self, agent: str, generation: int, to: str, reason: str) -> None:
-        """Nobody knows whether it arrived."""
-        self._by(agent, events.Doubted(agent, generation, to, clip(reason)))
-
-    def recovered(self, agent: str, generation: int) -> None:
-        """It goes on here, as that start."""
-        self._by(agent, events.Recovered(agent, generation))
-
-    def superseded(self, agent: str, generation: int, reason: str) -> None:
-        """Another start of it goes on."""
-        self._by(agent, events.Superseded(agent, generation, clip(reason)))
+        self.by(agent, events.Finished(agent, generation, how, clip(detail)))
 
     def printed(self, agent: str, text: str) -> None:
         """A line of `print`."""
-        if self._prints.take("printed", self.up):
-            self._by(agent, events.Printed(agent, clip(text)))
+        if self._prints.take("printed"):
+            self.by(agent, events.Printed(agent, clip(text)))
 
     def written(self, agent: str, text: str) -> None:
         """What `write` has put out."""
-        if self._prints.take("printed", self.up):
-            self._by(agent, events.Printed(agent, clip(text), "out"))
-
-    # --- hops -----------------------------------------------------------------------------------------
-
-    def left(
-        self, name: tuple[str, int, int], to: str, size: int, calling: Callable[[], tuple[str, str]]
-    ) -> None:
-        """A coordinator was sent, or sent again, which is not told; `name` is that of the hop.
-
-        `calling` says which portal of which resource it calls there.
-        """
-        agent, generation, sequence = name
-        away, up = self._away.get(agent), self.up
-        if away is not None and (away.generation, away.sequence) == (generation, sequence):
-            return
-        number = 0
-        if self._hops.take("left", up):
-            resource, portal = calling()
-            what = events.Left(agent, generation, sequence, to, resource, clip(portal, MAX_LABEL), size)
-            number = self._by(agent, what)
-        self._away[agent] = _Away(generation, sequence, number, up)
-
-    def came(self, name: tuple[str, int, int], of: str, size: int) -> None:
-        """It came, and runs here."""
-        self._away.pop(name[0], None)
-        if self._hops.take("came", self.up):
-            self._of_agent[name[0]] = self.event(events.Came(*name, of, size))
-
-    def hopped(self, name: tuple[str, int, int], to: str) -> None:
-        """Whoever sent it has heard that it came."""
-        away = self._away.get(name[0])
-        if away is None or (away.generation, away.sequence) != name[1:]:
-            self.event(events.Hopped(*name, to, None))
-            return
-        del self._away[name[0]]
-        if away.number:
-            self.event(events.Hopped(*name, to, age(self.up - away.up)), away.number)
-
-    def stayed(self, name: tuple[str, int, int], to: str, exception: str, reason: str) -> None:
-        """It goes on here by an exception."""
-        self._away.pop(name[0], None)
-        if self._hops.take("stayed", self.up):
-            self._by(name[0], events.Stayed(*name, to, exception, clip(reason)))
+        if self._prints.take("printed"):
+            self.by(agent, events.Printed(agent, clip(text), "out"))
 
     # --- portals, and instructions to devices ---------------------------------------------------------
 
     def began(self, call: int, agent: str, resource: str, portal: str) -> None:
         """A portal has begun; by `call` it is known until it ends."""
-        up = self.up
-        if not self._portals.take("began", up):
+        if not self._portals.take("began"):
             return
+        up = self.up
         portal = clip(portal, MAX_LABEL)
-        number = self._by(agent, events.Began(call, agent, resource, portal))
+        number = self.by(agent, events.Began(call, agent, resource, portal))
         self._of_agent[resource] = number
         self._calls[call] = _Call(agent, resource, portal, number, up)
 
@@ -210,9 +161,9 @@ class Teller:
 
     def asked(self, agent: str, thread: int, portal: int, device: str, instruction: str) -> None:
         """A thread of an agent gives a device an instruction, for the portal call of that number, or 0."""
-        up = self.up
-        if not self._commands.take("asked", up):
+        if not self._commands.take("asked"):
             return
+        up = self.up
         self._asked += 1
         device, instruction = clip(device, MAX_LABEL), clip(instruction, MAX_LABEL)
         known = self._calls.get(portal)

@@ -52,12 +52,9 @@ class Coordinators:
         self._mission, self._own, self._machine, self._clock, self._hops = mission, own, machine, clock, hops
         self._out, self._since = effects, partial(asleep, times, clock)
         self._members = {member.id: member for member in mission.team.coordinators}
+        hosts, agents = mission.team.hosts, list(self._members)
         self.mobility = Mobility(
-            own,
-            peers=mission.team.hosts,
-            agents=list(self._members),
-            inject=self._inject,
-            unreachable_after=unreachable_after,
+            own, peers=hosts, agents=agents, inject=self._inject, unreachable_after=unreachable_after
         )
         self.recovery = Recovery(pages, own.mission)
         self.keeping = Keeping([] if self.recovery.explained else [explanation(mission, own.mission)])
@@ -335,13 +332,14 @@ class Coordinators:
             self._effect(effect)
 
     def _effect(self, effect: mobile.Effect) -> None:
-        self._hops.tell(effect)
         match effect:
             # Those of every hop come first.
             case mobile.SendTransfer():
                 self._sent_to[effect.header.agent] = effect.host
+                self._hops.left(effect.host, effect.header)
                 self._out(effect)
             case mobile.Go():
+                self._hops.goes(effect.agent, effect.generation)
                 self._saving.discard(effect.agent)
                 if agent := self._held(effect.agent, effect.generation):
                     agent.kept = True
@@ -352,22 +350,25 @@ class Coordinators:
                 else:
                     self._out(effect)
             case mobile.Departed():
+                self._hops.departed(effect)
                 if agent := self._held(effect.agent, effect.generation):
                     self._machine.release(agent)
             case mobile.Began():
+                self._hops.tell(effect)
                 self._start(effect.agent, effect.generation)
             case mobile.Resume():
                 if agent := self._held(effect.agent, effect.generation):
                     agent.block.w[layout.W_SEQUENCE] = effect.sequence
                     self._resume(agent, effect.kind, effect.reason, recovered=effect.recovered)
             case mobile.InDoubt():
+                self._hops.tell(effect)
                 self.say(f"{effect.agent} is in doubt: {effect.reason}")
                 self._out(CHANGED)
             case mobile.Supersede():
                 self.say(f"{effect.agent} stopped: {effect.reason}")
-                self._drop(effect.agent, effect.generation)
+                self._drop(effect)
             case mobile.Finished():
-                self._drop(effect.agent, effect.generation)
+                self._drop(effect)
             case mobile.Note():
                 self.say(effect.reason)
 
@@ -385,10 +386,11 @@ class Coordinators:
         agent = self._machine.agents.get(identity)
         return agent if agent and agent.frozen and agent.generation == generation else None
 
-    def _drop(self, identity: str, generation: int) -> None:
-        self._saving.discard(identity)
-        agent = self._machine.agents.get(identity)
-        if agent and agent.generation == generation:
+    def _drop(self, effect: mobile.Supersede | mobile.Finished) -> None:
+        self._hops.tell(effect)
+        self._saving.discard(effect.agent)
+        agent = self._machine.agents.get(effect.agent)
+        if agent and agent.generation == effect.generation:
             agent.ended = agent.ended or "dropped"
             self._machine.release(agent)
         self._out(CHANGED)

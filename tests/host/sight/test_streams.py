@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
 
-from lfield.host.sight.budget import BURST, Budget
+from lfield.host.sight.budget import Budget
 from lfield.host.sight.stream import Stream, size_of
 from lfield.host.sight.watcher import BATCH_BYTES, LEAST, PATIENCE, QUIET, Watcher
 from lfield.wire.codec import encode
@@ -347,14 +347,18 @@ def test_who_reads_all_the_time_loses_no_state(steps):
 
 
 def test_a_budget_tells_all_that_happens_at_a_usual_rate():
-    budget = Budget(10.0, 20.0)
-    assert all(budget.take("left", n * 0.1) for n in range(1000))
+    budget = Budget(20.0, 10.0)
+    for n in range(1000):
+        budget.fill(n * 0.1)
+        assert budget.take("left")
     assert budget.settle(1000.0) == []
 
 
 def test_beyond_its_rate_it_counts():
-    budget = Budget(10.0, 20.0)
-    taken = sum(budget.take("left", n * 0.001) for n in range(10_000))
+    budget, taken = Budget(20.0, 10.0), 0
+    for n in range(10_000):
+        budget.fill(n * 0.001)
+        taken += budget.take("left")
     assert taken == pytest.approx(20 + 100, abs=1)
     assert budget.settle(10.0) == [Skipped("left", 10_000 - taken)]
     assert budget.settle(12.0) == []
@@ -366,18 +370,21 @@ def test_beyond_its_rate_it_counts():
     st.floats(0.1, 30.0),
 )
 def test_whatever_was_not_told_is_counted_once(asked, rate):
-    budget, now = Budget(rate, 2.0), 0.0
+    budget, now = Budget(2.0, rate), 0.0
     taken, counted = 0, 0
     for kind, pause in asked:
         now += pause
-        taken += budget.take(kind, now)
+        budget.fill(now)
+        taken += budget.take(kind)
         counted += sum(skipped.count for skipped in budget.settle(now))
     counted += sum(skipped.count for skipped in budget.settle(now + math.inf))
     assert taken + counted == len(asked)
     assert taken <= 2.0 + rate * now + 1e-6
 
 
-def test_a_burst_after_a_quiet_time_is_told():
-    budget = Budget()
-    assert all(budget.take("began", 100.0) for _ in range(int(BURST)))
-    assert not budget.take("began", 100.0)
+def test_a_clock_that_stands_still_fills_nothing():
+    budget = Budget(2.0, 10.0)
+    budget.fill(5.0)
+    assert [budget.take("left") for _ in range(3)] == [True, True, False]
+    budget.fill(5.0)
+    assert not budget.take("left")

@@ -21,6 +21,9 @@ TRAIL = 12
 #: What happened longer ago (s) is no matter of hops a minute.
 MINUTE = 60.0
 
+#: What was told of an agent so much earlier (s) than what another host tells is over.
+STALE = 1.5
+
 #: The parts of a hop, and all that tells of an agent.
 HopEvent = events.Left | events.Came | events.Hopped | events.Stayed
 AgentEvent = (
@@ -32,6 +35,11 @@ AgentEvent = (
     | events.Superseded
     | events.Standing
 )
+
+
+#: State, file, line, and what it waits for.
+Stood = tuple[str, str, int, str]
+_NOWHERE: Stood = ("", "", 0, "")
 
 
 @dataclass(slots=True)
@@ -70,6 +78,8 @@ class _Agent:
     doubt: str = ""
     trail: list[_Hop] = field(default_factory=list)
     came: deque[float] = field(default_factory=deque)
+    #: What each host told last of where it stands there: that is not told again as long as it is the same.
+    stood: dict[str, Stood] = field(default_factory=dict)
 
     def outdates(self, generation: int, sequence: int) -> bool:
         """Whether more is known than that hop of that start. One that gave way to another knows nothing."""
@@ -85,6 +95,11 @@ class _Agent:
     def stands(self, state: str, file: str = "", line: int = 0, waits: str = "") -> None:
         """What it does."""
         self.state, self.file, self.line, self.waits = state, file, line, waits
+
+    def arrives(self, host: str, generation: int, sequence: int, when: float) -> None:
+        """It runs on a host where it did not before."""
+        self.runs(host, generation, sequence, when)
+        self.stands(*self.stood.get(host, _NOWHERE))
 
     def hop(self, generation: int, sequence: int) -> _Hop | None:
         """A hop of its trail."""
@@ -118,6 +133,10 @@ class Agents:
                 self._kinds[event.agent] = "coordinator"
                 _hopped(agent, host, event, when, is_past=is_past)
             case events.Standing(_, state, file, line, waits):
+                agent.stood[host] = (state, file, line, waits)
+                if agent.host != host and _is_stale(agent, when) and self._moves(event.agent):
+                    # It hopped so often that its hosts could not tell each hop.
+                    agent.host, agent.to = host, ""
                 if agent.host == host and not agent.finished:
                     agent.stands(state, file, line, waits)
                     agent.when = when
@@ -132,6 +151,9 @@ class Agents:
                 self._finished(agent, host, generation, how, detail, when)
             case events.Superseded(_, generation, reason):
                 self._finished(agent, host, generation, "superseded", reason, when)
+
+    def _moves(self, name: str) -> bool:
+        return self._kinds.get(name) == "coordinator"
 
     def served(self, host: str, resource: str) -> None:
         """A portal of a resource has ended."""
@@ -164,6 +186,11 @@ class Agents:
             if agent.host == host and agent.enrolled.agent not in here and not (agent.to or agent.finished):
                 agent.stands("not heard of here" if agent.when is not None else "")
 
+    def linked(self, host: str) -> None:
+        """A host is followed anew: it tells everything again."""
+        for agent in self._known.values():
+            agent.stood.pop(host, None)
+
     def restarted(self, host: str) -> None:
         """Another life of a host: what its resources did, and stood at, is over."""
         for agent in self._known.values():
@@ -190,7 +217,7 @@ class Agents:
         for name, agent in self._known.items():
             while agent.came and agent.came[0] < now - MINUTE:
                 agent.came.popleft()
-            if self._kinds.get(name) == "coordinator":
+            if self._moves(name):
                 found[name] = float(len(agent.came))
         return found
 
@@ -202,7 +229,7 @@ class Agents:
         return AgentSeen(
             agent=name,
             type=agent.enrolled.type,
-            kind="coordinator" if self._kinds.get(name) == "coordinator" else "resource",
+            kind="coordinator" if self._moves(name) else "resource",
             host=agent.host,
             fresh=fresh.get(agent.host, False),
             age=None if agent.when is None else max(0.0, now - agent.when),
@@ -219,6 +246,11 @@ class Agents:
             doubt=agent.doubt,
             trail=tuple(_shown(hop, now) for hop in agent.trail),
         )
+
+
+def _is_stale(agent: _Agent, when: float) -> bool:
+    """Whether its host has not told of it for so long that another one is believed that does."""
+    return not agent.finished and (agent.when is None or when > agent.when + STALE)
 
 
 def _shown(hop: _Hop, now: float) -> HopSeen:
@@ -250,20 +282,17 @@ def _hopped(agent: _Agent, host: str, event: HopEvent, when: float, *, is_past: 
                 hop.came = True
                 agent.hops += 1
                 agent.came.append(when)
-                agent.runs(host, generation, sequence, when)
-                agent.stands("")
+                agent.arrives(host, generation, sequence, when)
         case events.Hopped(_, _, _, to, seconds):
             if hop is not None:
                 hop.seconds = seconds
             if not is_old and agent.to == to:
-                agent.runs(to, generation, sequence, when)
-                agent.stands("")
+                agent.arrives(to, generation, sequence, when)
         case events.Stayed(_, _, _, _, exception, reason):
             if hop is not None:
                 hop.failed = ": ".join(filter(None, (exception, reason))) or "it stayed"
             if not is_old:
-                agent.runs(host, generation, sequence, when)
-                agent.stands("")
+                agent.arrives(host, generation, sequence, when)
 
 
 def _copy(agent: _Agent, host: str, known: Known, now: float) -> None:
