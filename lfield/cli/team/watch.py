@@ -41,7 +41,7 @@ def _port(text: str) -> int:
 
 
 def run(args: argparse.Namespace) -> int:
-    """0 when Ctrl-C has ended it: it shows a team for as long as somebody wants to look."""
+    """130, after a Ctrl-C: it shows a team for as long as somebody wants to look."""
     from lfield.operator.addressed import only_mission, open_team
     from lfield.operator.web.tiles import Tiles
 
@@ -54,6 +54,7 @@ def run(args: argparse.Namespace) -> int:
         asyncio.run(_watch(args, path, team, party, tiles))
     except KeyboardInterrupt:
         print("no longer looking, and nothing else has changed")
+        return exits.INTERRUPTED
     return exits.DONE
 
 
