@@ -31,13 +31,17 @@ class Ordered:
 
 @dataclass(frozen=True, slots=True)
 class Found:
-    """Who serves a primitive: the best offers, best first, how many there are; and who does not, and why."""
+    """Who serves a primitive: the best offers, best first, how many there are; and who does not, and why.
+
+    `units` are those of the attributes, by name.
+    """
 
     primitive: Primitive
     offers: Sequence[Offer]
     count: int
     refusals: Sequence[Refusal]
     notes: Sequence[str]
+    units: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,6 +11,8 @@ from sight_script import LIFE, Teller, device, resource, roll, snapshot
 from lfield.driver.frame import Origin, Pose
 from lfield.guard.rest import UNSEEN
 from lfield.mission.bindings import Frames
+from lfield.operator.sight.picture.agents import MOST_AGENTS
+from lfield.operator.sight.picture.devices import MOST_DEVICES
 from lfield.operator.sight.picture.team_picture import Picture
 from lfield.wire.coordinators import Known
 from lfield.wire.events import (
@@ -51,7 +53,6 @@ class Story:
         self.now = 100.0
 
     def tell(self, host: str, *whats: object, **more: object) -> None:
-        self.picture.linked(host)
         batch = self.hosts[host].batch(self.now + self.aside[host], *whats, **more)  # type: ignore[arg-type]
         self.picture.told(host, batch, self.now, 1.7e9)
 
@@ -389,3 +390,31 @@ def test_what_a_snapshot_has_told_the_end_of_changes_nothing_any_more() -> None:
     assert (boss.to, [hop.to for hop in boss.trail]) == ("", ["beta"])
     assert not story.seen.vehicles["one"].latched
     assert [line.text for line in story.seen.log] == ["hi"]
+
+
+def test_a_coordinator_whose_hops_are_too_many_to_tell_is_where_it_stands() -> None:
+    story = Story()
+    story.tell("alpha", Started("boss", 1))
+    story.now += 10.0
+    story.tell("beta", Standing("boss", "ready", "mission.L", 7, ""))
+    boss = story.seen.agents["boss"]
+    assert (boss.host, boss.line, boss.to) == ("beta", 7, "")
+
+
+def test_where_a_coordinator_stands_as_before_is_not_told_again_and_known_all_the_same() -> None:
+    story = Story()
+    story.tell("alpha", Started("boss", 1), Standing("boss", "waiting", "mission.L", 12, "two.lift"))
+    for part in HOP.values():
+        story.tell(*part)
+    assert story.seen.agents["boss"].line == 0
+    story.tell("beta", Left("boss", 1, 5, "alpha", "one", "lift", 900))
+    story.tell("alpha", Came("boss", 1, 5, "beta", 900))
+    assert story.seen.agents["boss"].line == 12
+
+
+def test_a_host_that_names_more_than_there_can_be_fills_no_memory() -> None:
+    story = Story()
+    for number in range(MOST_AGENTS + 50):
+        story.tell("alpha", Started(f"a{number}", 1), Measured(f"a{number}.fc", {}, 0.0))
+    assert len(story.seen.agents) == MOST_AGENTS
+    assert len(story.seen.vehicles) == MOST_DEVICES

@@ -16,10 +16,15 @@ from lfield.wire import events
 from lfield.wire.coordinators import Known
 from lfield.wire.observing import AgentStatus
 
+#: A host may name whomever it likes: of so many agents is told.
+MOST_AGENTS = 4096
 #: So many hops of each coordinator are shown.
 TRAIL = 12
 #: What happened longer ago (s) is no matter of hops a minute.
 MINUTE = 60.0
+
+#: What was told of an agent so much earlier (s) than what another host tells is over.
+STALE = 1.5
 
 #: The parts of a hop, and all that tells of an agent.
 HopEvent = events.Left | events.Came | events.Hopped | events.Stayed
@@ -32,6 +37,11 @@ AgentEvent = (
     | events.Superseded
     | events.Standing
 )
+
+
+#: State, file, line, and what it waits for.
+Stood = tuple[str, str, int, str]
+_NOWHERE: Stood = ("", "", 0, "")
 
 
 @dataclass(slots=True)
@@ -70,6 +80,8 @@ class _Agent:
     doubt: str = ""
     trail: list[_Hop] = field(default_factory=list)
     came: deque[float] = field(default_factory=deque)
+    #: What each host told last of where it stands there: that is not told again as long as it is the same.
+    stood: dict[str, Stood] = field(default_factory=dict)
 
     def outdates(self, generation: int, sequence: int) -> bool:
         """Whether more is known than that hop of that start. One that gave way to another knows nothing."""
@@ -85,6 +97,11 @@ class _Agent:
     def stands(self, state: str, file: str = "", line: int = 0, waits: str = "") -> None:
         """What it does."""
         self.state, self.file, self.line, self.waits = state, file, line, waits
+
+    def arrives(self, host: str, generation: int, sequence: int, when: float) -> None:
+        """It runs on a host where it did not before."""
+        self.runs(host, generation, sequence, when)
+        self.stands(*self.stood.get(host, _NOWHERE))
 
     def hop(self, generation: int, sequence: int) -> _Hop | None:
         """A hop of its trail."""
@@ -115,9 +132,13 @@ class Agents:
             return
         match event:
             case events.Left() | events.Came() | events.Hopped() | events.Stayed():
-                self._kinds[event.agent] = "coordinator"
+                self._is_of(event.agent, "coordinator")
                 _hopped(agent, host, event, when, is_past=is_past)
             case events.Standing(_, state, file, line, waits):
+                agent.stood[host] = (state, file, line, waits)
+                if agent.host != host and _is_stale(agent, when) and self._moves(event.agent):
+                    # It hopped so often that its hosts could not tell each hop.
+                    agent.host, agent.to = host, ""
                 if agent.host == host and not agent.finished:
                     agent.stands(state, file, line, waits)
                     agent.when = when
@@ -132,6 +153,13 @@ class Agents:
                 self._finished(agent, host, generation, how, detail, when)
             case events.Superseded(_, generation, reason):
                 self._finished(agent, host, generation, "superseded", reason, when)
+
+    def _is_of(self, name: str, kind: str) -> None:
+        if name in self._known:
+            self._kinds[name] = kind
+
+    def _moves(self, name: str) -> bool:
+        return self._kinds.get(name) == "coordinator"
 
     def served(self, host: str, resource: str) -> None:
         """A portal of a resource has ended."""
@@ -150,11 +178,11 @@ class Agents:
         """What a host knows of all agents. Of coordinators only it says which start and hop it means."""
         here = {told.id for told in agents}
         for copy in known:
-            self._kinds[copy.agent] = "coordinator"
+            self._is_of(copy.agent, "coordinator")
             _copy(self._agent(copy.agent, copy.where or host), host, copy, now)
         for told in agents:
             agent = self._agent(told.id, host)
-            self._kinds[told.id] = told.kind
+            self._is_of(told.id, told.kind)
             if told.kind == "resource":
                 agent.host, agent.when = host, now
             if agent.host == host:
@@ -163,6 +191,11 @@ class Agents:
         for agent in self._known.values():
             if agent.host == host and agent.enrolled.agent not in here and not (agent.to or agent.finished):
                 agent.stands("not heard of here" if agent.when is not None else "")
+
+    def linked(self, host: str) -> None:
+        """A host is followed anew: it tells everything again."""
+        for agent in self._known.values():
+            agent.stood.pop(host, None)
 
     def restarted(self, host: str) -> None:
         """Another life of a host: what its resources did, and stood at, is over."""
@@ -174,15 +207,19 @@ class Agents:
                     agent.served = 0
 
     def _agent(self, name: str, host: str) -> _Agent:
-        if name not in self._known:
-            self._known[name] = _Agent(Enrolled(name, "", host), host)
-        return self._known[name]
+        agent = self._known.get(name)
+        if agent is None:
+            agent = _Agent(Enrolled(name, "", host), host)
+            if len(self._known) < MOST_AGENTS:
+                self._known[name] = agent
+        return agent
 
     # --- out ------------------------------------------------------------------------------------------
 
     def enrolled(self, name: str) -> Enrolled:
         """Who that is by the files, or by what was heard."""
-        return self._agent(name, "").enrolled
+        agent = self._known.get(name)
+        return agent.enrolled if agent is not None else Enrolled(name, "", "")
 
     def hops_a_minute(self, now: float) -> Mapping[str, float]:
         """How often each coordinator came anywhere within the last minute."""
@@ -190,7 +227,7 @@ class Agents:
         for name, agent in self._known.items():
             while agent.came and agent.came[0] < now - MINUTE:
                 agent.came.popleft()
-            if self._kinds.get(name) == "coordinator":
+            if self._moves(name):
                 found[name] = float(len(agent.came))
         return found
 
@@ -202,7 +239,7 @@ class Agents:
         return AgentSeen(
             agent=name,
             type=agent.enrolled.type,
-            kind="coordinator" if self._kinds.get(name) == "coordinator" else "resource",
+            kind="coordinator" if self._moves(name) else "resource",
             host=agent.host,
             fresh=fresh.get(agent.host, False),
             age=None if agent.when is None else max(0.0, now - agent.when),
@@ -219,6 +256,11 @@ class Agents:
             doubt=agent.doubt,
             trail=tuple(_shown(hop, now) for hop in agent.trail),
         )
+
+
+def _is_stale(agent: _Agent, when: float) -> bool:
+    """Whether its host has not told of it for so long that another one is believed that does."""
+    return not agent.finished and (agent.when is None or when > agent.when + STALE)
 
 
 def _shown(hop: _Hop, now: float) -> HopSeen:
@@ -250,20 +292,17 @@ def _hopped(agent: _Agent, host: str, event: HopEvent, when: float, *, is_past: 
                 hop.came = True
                 agent.hops += 1
                 agent.came.append(when)
-                agent.runs(host, generation, sequence, when)
-                agent.stands("")
+                agent.arrives(host, generation, sequence, when)
         case events.Hopped(_, _, _, to, seconds):
             if hop is not None:
                 hop.seconds = seconds
             if not is_old and agent.to == to:
-                agent.runs(to, generation, sequence, when)
-                agent.stands("")
+                agent.arrives(to, generation, sequence, when)
         case events.Stayed(_, _, _, _, exception, reason):
             if hop is not None:
                 hop.failed = ": ".join(filter(None, (exception, reason))) or "it stayed"
             if not is_old:
-                agent.runs(host, generation, sequence, when)
-                agent.stands("")
+                agent.arrives(host, generation, sequence, when)
 
 
 def _copy(agent: _Agent, host: str, known: Known, now: float) -> None:

@@ -24,14 +24,33 @@ class _Line:
     text: str
 
 
+class Pieces:
+    """What programs print, as lines, whatever pieces they write."""
+
+    def __init__(self) -> None:
+        #: What a program on a host has written since its last line ended.
+        self._begun: dict[tuple[str, str], str] = {}
+
+    def lines(self, host: str, what: Printed) -> list[str]:
+        """The lines that have ended now."""
+        if what.on == "log":
+            return what.text.splitlines() or [""]
+        key = (host, what.agent)
+        *lines, rest = (self._begun.pop(key, "") + what.text).split("\n")
+        if len(rest) > LONGEST:
+            lines, rest = [*lines, rest], ""
+        if rest:
+            self._begun[key] = rest
+        return lines
+
+
 class LogLines:
     """The last lines of all hosts, in the order in which they came here."""
 
     def __init__(self) -> None:
         self._lines: deque[_Line] = deque(maxlen=MOST_LINES)
         self._serial = 0
-        #: What a program on a host has written since its last line ended.
-        self._begun: dict[tuple[str, str], str] = {}
+        self._pieces = Pieces()
 
     def add(self, host: str, at: float, when: float, agent: str, text: str) -> None:
         """Lines of a host, said at its time `at`, which was `when` by our monotonic clock."""
@@ -41,18 +60,8 @@ class LogLines:
 
     def printed(self, host: str, at: float, when: float, what: Printed) -> None:
         """What a program has said: a line, or what it has written of one."""
-        if what.on == "log":
-            self.add(host, at, when, what.agent, what.text)
-            return
-        key = (host, what.agent)
-        whole = self._begun.pop(key, "") + what.text
-        *lines, rest = whole.split("\n")
-        if len(rest) > LONGEST:
-            lines, rest = [*lines, rest], ""
-        for line in lines:
+        for line in self._pieces.lines(host, what):
             self.add(host, at, when, what.agent, line)
-        if rest:
-            self._begun[key] = rest
 
     def seen(self, now: float) -> tuple[LogLine, ...]:
         """All of them, the oldest first."""

@@ -84,6 +84,7 @@ class Picture:
         """There is a link to a host."""
         host = self._host(name)
         host.linked, host.trouble = True, ""
+        self._agents.linked(name)
 
     def unlinked(self, name: str, why: str) -> None:
         """There is none, or none any more."""
