@@ -52,7 +52,7 @@ class Admission:
         return False
 
     def line(self) -> str:
-        """What to tell of the time: '' when this computer's clock is believed."""
+        """What to tell of the time, once: '' when this computer's clock is believed."""
         return ""
 
 

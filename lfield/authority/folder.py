@@ -9,7 +9,8 @@ From strong to weak, for host alpha and for a person:
 
 What is named and is not there is an error; it is never looked for elsewhere then. What is in a folder, and
 what the files are called, is in `keys.py`. A folder, or a file in it, that others could write to is not
-believed, and a private key that others may read is refused.
+believed, and a private key that others may read is refused. A link to a folder is followed, as links above it
+are: what counts is whose the folder itself is. A file that is a link is not read.
 """
 
 from __future__ import annotations
@@ -96,13 +97,16 @@ def read(folder: Path, holder: Holder) -> Keys:
         _read(folder / AUTHORITY, MAX_PEM),
         _read(folder / certificate_name(holder), MAX_PEM),
         _read(folder / key_name(holder), MAX_PEM, secret=True),
-        read_list(folder),
+        read_list(folder, needed=holder == "host"),
     )
 
 
-def read_list(folder: Path) -> bytes:
-    """The revocation list of a folder; empty where there is none. Raises KeysError."""
-    return _read(folder / REVOKED, MAX_LIST, needed=False)
+def read_list(folder: Path, *, needed: bool = False) -> bytes:
+    """The revocation list of a folder; empty where there is none. Raises KeysError, also when it is `needed`.
+
+    A host's folder has one from the beginning: a copy that was cut short would believe whoever is revoked.
+    """
+    return _read(folder / REVOKED, MAX_LIST, needed=needed)
 
 
 def read_trusted(folder: Path) -> bytes:
@@ -144,13 +148,18 @@ def _inside(base: Path, name: str) -> Path:
 
 def _read(path: Path, most: int, *, secret: bool = False, needed: bool = True) -> bytes:
     try:
-        return read_private(path, most, (os.geteuid(), 0), secret=secret)
+        return read_private(Path(os.path.realpath(path.parent), path.name), most, _owners(), secret=secret)
     except FileNotFoundError:
         if not needed:
             return b""
         raise KeysError(f"{path} is not there: copy the folder again from where its authority is") from None
     except OSError as error:
         raise KeysError(f"{path} cannot be used: {_reason(error)}") from None
+
+
+def _owners() -> tuple[int, int]:
+    """Whoever runs the host, and root."""
+    return os.geteuid(), 0
 
 
 def _reason(error: OSError) -> str:

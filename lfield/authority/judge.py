@@ -22,7 +22,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
-from lfield.authority.identity import NONE, Identity, Right
+from lfield.authority.identity import NONE, Identity, Right, in_order
 
 #: For `SSLContext.verify_flags`: OpenSSL's X509_V_FLAG_NO_CHECK_TIME, which the ssl module has no name for.
 NO_CHECK_TIME = 0x200000
@@ -91,7 +91,8 @@ def judged(
     if foreign := _foreign(who, authority, expected):
         return Verdict("nothing", foreign)
     if who.serial in revoked.serials:
-        make = f"make new ones with 'lfield keys {_noun(who)}'"
+        rights = f" --may {in_order(who.may) or '...'}" if who.kind == "person" else ""
+        make = f"make new ones with 'lfield keys {_noun(who)}{rights}'"
         why = f"the keys of {who} are revoked (list {revoked.number}): {make}"
         stays = who.kind == "host" and known == "linked" and flies
         return Verdict("finish" if stays else "nothing", why)

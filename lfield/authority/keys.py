@@ -3,7 +3,7 @@
     authority.pem              the certificate of the team's authority: what everybody trusts
     host.pem, person.pem       the own certificate, signed by the authority
     host.key, person.key       the private key of it; nobody else may read it
-    revoked.crl                whose certificates count no more; there may be none
+    revoked.crl                whose certificates count no more: of a host always, if only an empty one
 
 Certificates and keys are PEM, which OpenSSL reads; the list is DER, as it travels.
 """

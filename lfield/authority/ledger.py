@@ -21,7 +21,7 @@ from lfield.authority import folder as folders
 from lfield.authority.believed import NOTABLE
 from lfield.authority.identity import Identity, Right, with_brought
 from lfield.authority.judge import Revoked, when
-from lfield.authority.keys import AUTHORITY, MAX_PEM, Holder, Keys
+from lfield.authority.keys import AUTHORITY, MAX_PEM, REVOKED, Holder, Keys
 from lfield.authority.making import Authority, new_authority, read_authority
 from lfield.authority.reading import identity_in, revoked_in
 from lfield.errors import InputFileError, KeysError
@@ -54,7 +54,12 @@ class Ledger:
     def __init__(self, folder: Path, authority: Authority) -> None:
         self.folder, self.authority = folder, authority
         self._list = folders.read_list(folder)
-        self.revoked = revoked_in(self._list, authority.certificate) if self._list else Revoked()
+        if not self._list:
+            raise KeysError(
+                f"{folder / REVOKED} is not there: put a copy of it there, of the keys of any host; a list "
+                "that begins anew would be taken for an older one"
+            )
+        self.revoked = revoked_in(self._list, authority.certificate)
 
     def rows(self, at: float) -> list[Row]:
         """Everything that was made, by kind and name, the oldest first. Raises KeysError."""
@@ -72,6 +77,7 @@ class Ledger:
             raise KeysError(
                 f"{good[-1]} has keys until {when(good[-1].ends)}: 'lfield keys renew {holder} {name}' "
                 f"makes them last longer, 'lfield keys revoke {holder} {name}' ends them"
+                + (", and then there can be some with other rights" if holder == "person" else "")
             )
         return self._issue(holder, name, with_brought(may), at, ends)
 
@@ -82,8 +88,10 @@ class Ledger:
         """
         found = [row.who for row in self._of(holder, name, at) if row.state != "revoked"]
         if not found:
+            more = " --may ..." if holder == "person" else ""
             raise KeysError(
-                f"{holder} {name} has no keys that are not revoked: 'lfield keys {holder} {name}' makes some"
+                f"{holder} {name} has no keys that are not revoked: 'lfield keys {holder} {name}{more}' "
+                "makes some"
             )
         newest = max(found, key=lambda who: (who.begins, who.ends))
         old = b"" if new_key else self._certificate(newest.serial)
@@ -139,7 +147,9 @@ class Ledger:
         who = identity_in(issued.certificate, self.authority.certificate)
         write_private(self.folder / ISSUED / f"{who.serial}.pem", issued.certificate, 0o644, durable=True)
         folder = self.folder / _FOLDERS[holder] / name
-        keys = Keys(holder, self.authority.certificate, issued.certificate, issued.key, self._list)
+        # A person passes it on with every command, so an empty one is left out.
+        revoked = self._list if holder == "host" or self.revoked.number else b""
+        keys = Keys(holder, self.authority.certificate, issued.certificate, issued.key, revoked)
         folders.write(folder, keys)
         return Made(who, folder)
 
@@ -183,6 +193,7 @@ def begin(folder: Path, at: float, ends: float) -> Ledger:
         if (folder / KEY).exists() or (folder / AUTHORITY).exists():
             raise KeysError(f"{folder} has an authority already: name another folder")
         write_private(folder / KEY, made.key, 0o600, durable=True)
+        folders.write_list(folder, made.revocation_list(Revoked(at=at)))
         write_private(folder / AUTHORITY, made.certificate, 0o644, durable=True)
     return Ledger(folder, made)
 

@@ -58,4 +58,8 @@ def _remedy(who: Identity, needed: Right) -> str:
         return "the user who runs the host has it, and root"
     if who.kind == "host":
         return "a person has it, not a host"
-    return f"'lfield keys person {who.name} --may {needed}' gives it"
+    rights = in_order({*who.may, needed})
+    return (
+        f"new keys give it: 'lfield keys revoke person {who.name}', then "
+        f"'lfield keys person {who.name} --may {rights}'"
+    )

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, NoReturn, Protocol
 from lfield import __version__, exits
 from lfield.errors import BindingError, LfieldError, ProgramError, UsageError
 from lfield.text.outlet import silence
-from lfield.text.visible import visible
+from lfield.text.visible import continued, visible
 
 if TYPE_CHECKING:
     from _typeshed import SupportsWrite
@@ -39,7 +39,7 @@ COMMANDS = {
     "resume": "let a mission that was paused go on",
     "forget": "end a coordinator that is in doubt, lost or parked, by your word",
     "recover": "go on with a coordinator whose host is gone for good, by your word",
-    "inspect": "explain a dumped agent",
+    "inspect": "explain a dumped agent, the journal of a host, or a bundle",
     "doctor": "look for what stands between this computer and its devices",
     "driver": "list the drivers, or begin a new one",
     "setup": "write what devices must keep for their bindings, after a yes, or put back what was there",
@@ -116,7 +116,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         sys.stdout.flush()
         return status
     except ProgramError as error:
-        _tell("\n".join(d.render() for d in error.diagnostics))
+        print(visible("\n".join(d.render() for d in error.diagnostics)), file=sys.stderr)
         _tell(f"lfield: {error}")
         return error.exit_status
     except BindingError as error:
@@ -167,7 +167,7 @@ def _let_out() -> None:
 
 def _tell(text: str) -> None:
     """An error may repeat what a program, a file or a host has said."""
-    print(visible(text), file=sys.stderr)
+    print(continued(text), file=sys.stderr)
 
 
 def _refuse_empty(words: list[str]) -> None:

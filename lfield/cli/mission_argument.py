@@ -17,8 +17,10 @@ if TYPE_CHECKING:
 def add_mission(parser: argparse.ArgumentParser, *, required: bool = True) -> None:
     """Declare it: `lfield up mission.lfm`, or `lfield up --deploy mission.dL`."""
     named = parser.add_mutually_exclusive_group(required=required)
-    named.add_argument("--deploy", metavar="MISSION", type=Path, help="a deployment (.dL) or bundle (.lfm)")
-    named.add_argument("mission", metavar="MISSION", nargs="?", type=Path, help="the same")
+    what = "a deployment (.dL) or bundle (.lfm)" + ("" if required else "; without one, all that run here")
+    # Positional arguments stand first in the help.
+    named.add_argument("mission", metavar="MISSION", nargs="?", type=Path, help=what)
+    named.add_argument("--deploy", metavar="MISSION", type=Path, help="the same, as an option")
 
 
 def add_running_mission(parser: argparse.ArgumentParser) -> None:

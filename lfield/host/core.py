@@ -157,6 +157,7 @@ class HostCore:
             str(self.mission.recovery) if self.mission.fenced else "",
             str(self.mission.bindings.frames.origin or ""),
             self.mission.bindings.reservations.lease if self.mission.program.has_reserves else 0.0,
+            bundle=self.mission.release.shared,
         )
 
     # --- time -----------------------------------------------------------------------------------------

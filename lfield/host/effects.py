@@ -44,9 +44,13 @@ class Write(Struct, frozen=True):
 
 
 class Say(Struct, frozen=True):
-    """A line for the log. `told`: its event is told already, as that of a program is."""
+    """A line for the log; what a program says may have several `lines`.
+
+    `told`: its event is told already, as that of a program is.
+    """
 
     text: str
+    lines: bool = False
     told: bool = False
 
 

@@ -272,7 +272,7 @@ class Host:
             self.teller.ending(str(self.failure), STOPPING)
             self.note(str(self.failure))
             if os.environ.get("LFIELD_TRACEBACK"):
-                self.note("".join(traceback.format_exception(error)))
+                self.note("".join(traceback.format_exception(error)), lines=True)
 
     def unhandled(self, loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
         """The loop's exception handler: what was raised beside the core, in a task or a socket's callback."""
@@ -292,7 +292,7 @@ class Host:
             case Write():
                 self.logbook.write(effect.text)
             case Say():
-                (self.logbook.note if effect.told else self.note)(effect.text)
+                (self.logbook.note if effect.told else self.note)(effect.text, lines=effect.lines)
             case Complain():
                 self.peers.complain(effect.text)
             case Call():
@@ -386,10 +386,10 @@ class Host:
         """This host is about to go: it tells all others of the endings it knows, and what it found."""
         self._enter(partial(self.core.pass_on, found))
 
-    def note(self, text: str) -> None:
-        """A line for the log."""
+    def note(self, text: str, *, lines: bool = False) -> None:
+        """A line for the log; what a program says may have several `lines`."""
         self.teller.logged(text)
-        self.logbook.note(text)
+        self.logbook.note(text, lines=lines)
 
     # --- what others want to know ---------------------------------------------------------------------
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from typing import TextIO
 
-from lfield.text.visible import visible
+from lfield.text.visible import continued, in_one_line
 
 
 class Logbook:
@@ -30,9 +30,12 @@ class Logbook:
             self._out.write(text)
             self._out.flush()
 
-    def note(self, text: str) -> None:
-        """A line of the log; what programs and other hosts say in it orders no terminal."""
+    def note(self, text: str, *, lines: bool = False) -> None:
+        """A line of the log: what persons and other hosts say in it orders no terminal, and begins no other.
+
+        What a program says may have `lines`, of which all but the first stand further in.
+        """
         self.flush()
         if self._log is not None:
-            self._log.write(visible(text) + "\n")
+            self._log.write((continued if lines else in_one_line)(text) + "\n")
             self._log.flush()

@@ -13,6 +13,7 @@ from lfield.host.core import HostCore
 from lfield.host.watching.watchers import Watchers
 from lfield.loop import spawn
 from lfield.net.transport import Link
+from lfield.text.visible import in_one_line
 from lfield.wire.fields import clip
 from lfield.wire.messages import Control
 from lfield.wire.observing import (
@@ -31,6 +32,8 @@ from lfield.wire.watching import Seen, Watch
 PAUSED = "the mission is paused"
 #: For so many seconds an emergency stop, which holds already, waits for the disk before it is answered.
 KEPT_WITHIN = 2.0
+#: The status of a host is told at most every so many seconds: whoever asks more often gets one for all.
+STATUS_EVERY = 0.05
 #: Whoever has asked within so many seconds is looking at the devices, and gets one more answer in so many.
 LOOKING, LAST_LOOK = 3.0, 1.5
 #: Who has stopped or paused what is still so when a host starts.
@@ -60,13 +63,15 @@ class Visitors:
         self.watchers = Watchers(core, guards, clock, status)
         #: When somebody last asked how the devices are.
         self._looked = -LOOKING
+        #: Who waits for the status, and when it was last told.
+        self._asking: dict[Link, None] = {}
+        self._told = -STATUS_EVERY
 
     def received(self, message: Control, link: Link) -> None:
         """An observer asks for something. What only hosts say to one another is not answered."""
         match message:
             case StatusRequest():
-                self._looked = self._clock.monotonic()
-                link.send(self._status())
+                self._show(link)
             case Watch():
                 self.watchers.watch(message, link)
             case Seen():
@@ -79,6 +84,24 @@ class Visitors:
                 spawn(self._pause(message, link))
             case Recover():
                 spawn(self._keep(link, lambda: self._core.recover(message)))
+
+    def _show(self, link: Link) -> None:
+        """Tell the status now, or soon; nobody can keep a host busy by asking."""
+        self._looked = self._clock.monotonic()
+        waits, self._asking[link] = bool(self._asking), None
+        left = self._told + STATUS_EVERY - self._looked
+        if left <= 0:
+            self._show_all()
+        elif not waits:
+            asyncio.get_running_loop().call_later(left, self._show_all)
+
+    def _show_all(self) -> None:
+        self._told = self._clock.monotonic()
+        asking, self._asking = self._asking, {}
+        if asking:
+            status = self._status()
+            for link in asking:
+                self._answer(link, status)
 
     def stay_stopped(self) -> None:
         """What was stopped in an earlier life of this host, and not lifted, opens its devices barred."""
@@ -99,16 +122,18 @@ class Visitors:
             await asyncio.sleep(LAST_LOOK)
 
     async def _emergency_stop(self, message: EmergencyStop, link: Link) -> None:
-        self._teller.stopped(str(link.who), message.reason, lifted=message.lift)
+        # Programs hear it too, and what they print of it has no line of somebody else's.
+        reason = clip(in_one_line(message.reason))
+        self._teller.stopped(str(link.who), reason, lifted=message.lift)
         if message.lift:
             self._note(f"the emergency stop is lifted by {link.who}; programs may release their devices")
             devices = self._guards.lift_stop()
             self._enter(lambda: self._core.stop(""))
         else:
-            self._note(f"EMERGENCY STOP by {link.who}: {message.reason}")
+            self._note(f"EMERGENCY STOP by {link.who}: {reason}")
             # The devices first: they wait neither for the core nor for the disk.
-            self._guards.bar(message.reason)
-            self._enter(lambda: self._core.stop(message.reason))
+            self._guards.bar(reason)
+            self._enter(lambda: self._core.stop(reason))
             devices = await self._guards.confirmed()
         trouble = "" if await self._all_kept(KEPT_WITHIN) else self._not_kept(lift=message.lift)
         self._answer(link, EmergencyStopped(devices, trouble))

@@ -103,7 +103,8 @@ class Run(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=
 
 
 class BundlePage(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag="bundle"):
-    """The signed bundle that this host has begun, by its digest; b"" once that has ended in order."""
+    """The signed bundle that this host has begun, by its digest; b"" once it has ended in order, and
+    so has every coordinator of the team, as this host has heard."""
 
     digest: Hash
 

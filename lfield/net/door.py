@@ -1,7 +1,11 @@
-"""Who calls at a Unix socket of this computer: the kernel says it, and nobody can say otherwise.
+"""Who is at the other end of a Unix socket of this computer: the kernel says it, and nobody else can.
 
 The user who runs the host, and root, may all. Members of the group `lfield` may look, and make everything
 safe; they are those that a service's folder lets in. Anybody else may nothing.
+
+Whoever calls has to know whom it believes, for an answer may say that all is stopped: its own user, root, and
+who is in the group `lfield`, as services are. Root believes everybody: it looks for the hosts of all users,
+and has seen whose folder the socket is in.
 """
 
 from __future__ import annotations
@@ -11,7 +15,7 @@ import os
 import pwd
 import socket
 import struct
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 from contextlib import suppress
 
 from lfield.authority.identity import ALL, NONE, STRANGER, Identity, Right
@@ -30,18 +34,33 @@ _GROUPS = 1024
 
 
 def caller_at(made: socket.socket) -> Identity:
-    """The process at the other end of a Unix socket."""
+    """The process that has called at a Unix socket of this one."""
+    return _other_end(made, local)
+
+
+def host_at(made: socket.socket) -> Identity:
+    """The process that listens at a Unix socket that this one calls. It `may` all when it is believed."""
+    return _other_end(made, listening)
+
+
+def _other_end(made: socket.socket, judged: Callable[..., Identity]) -> Identity:
     try:
         _, user, group = _CREDENTIALS.unpack(
             made.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _CREDENTIALS.size)
         )
     except OSError:
         return STRANGER
-    return local(user, {group, *_other_groups(made)}, os.geteuid(), _number_of_group())
+    return judged(user, {group, *_other_groups(made)}, os.geteuid(), _number_of_group())
+
+
+def listening(user: int, groups: Collection[int], own: int, members: int | None) -> Identity:
+    """A user who runs a host, by number and groups; `own` has called, `members` is the group lfield."""
+    believed = own == ROOT or user in (own, ROOT) or (members is not None and members in groups)
+    return Identity("local", _name_of(user), ALL if believed else NONE)
 
 
 def local(user: int, groups: Collection[int], own: int, members: int | None) -> Identity:
-    """A user of this computer, by number and groups; `own` runs this host, `members` is the group lfield."""
+    """A user who has called, by number and groups; `own` runs this host, `members` is the group lfield."""
     if user in (own, ROOT):
         may = ALL
     elif members is not None and members in groups:

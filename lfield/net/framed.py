@@ -81,24 +81,29 @@ class FramedLink:
             self.write_now(head)
             self.write_now(block)
 
-    def received(self, data: Buffer) -> None:
-        """Hand on what the next bytes complete; close on bytes or messages that must not be."""
-        frame = self._decoder.whole(data)
+    def received(self, data: Buffer) -> int:
+        """Hand on what the next bytes complete; close on bytes or messages that must not be.
+
+        Returns how many messages that were.
+        """
+        frame, count = self._decoder.whole(data), 0
         try:
             for kind, payload in self._decoder.feed(data) if frame is None else (frame,):
+                count += 1
                 if kind == TRANSFER:
                     header, block = decode_transfer(payload)
                     self.handler.on_transfer(self, header, block)
                 else:
                     self.handler.on_message(self, decode(kind, payload))
                 if self.closed:
-                    return
+                    break
         except (WireError, GreetingError) as error:
             self._error = error
             self.close()
         except Exception as error:
             self.close()
             unexpected(error)
+        return count
 
     def finished(self, error: LfieldError | None) -> None:
         """The stream has ended; the first reason known is the one reported."""
@@ -107,7 +112,7 @@ class FramedLink:
         # Now, and not when the collector finds this link: what never greeted must not pile up until then.
         self._decoder.forget()
         if self._error is None and error is None and half:
-            error = WireError(f"{self.peer} closed the link in the middle of a message")
+            error = WireError("it closed the link in the middle of a message")
         self.handler.on_closed(self, self._error or error)
 
     def _oversize(self, header: Transfer, size: int) -> None:

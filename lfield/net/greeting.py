@@ -57,7 +57,10 @@ class Greeting:
             self._refuse("nobody here knows who this is; hosts and people have keys of 'lfield keys'")
         if who.kind == "local" and not who.may:
             self._refuse(
-                f"{who} may nothing here: join the group 'lfield', which may look and stop, or use sudo"
+                f"what answers here is run by {who}, and a command believes its own user, root, and the "
+                "group 'lfield': use sudo, if that is a host of yours"
+                if self.own.role == "observer"
+                else f"{who} may nothing here: join the group 'lfield', which may look and stop, or use sudo"
             )
         if self._verdict.extent == "nothing":
             self._refuse(self._verdict.why)
@@ -78,6 +81,7 @@ class Greeting:
         if "observer" not in (self.own.role, message.role):
             self._check_name(message)
         self._check_hashes(message)
+        self._check_bundle(message)
         self._check_devices(message)
         self._check_memory(message)
         self._check_recovery(message)
@@ -153,6 +157,16 @@ class Greeting:
                     f"{self.own.host} has {what} {ours.hex()[:12] or '(none)'} and {hello.host} has {what} "
                     f"{theirs.hex()[:12] or '(none)'}; start both from {remedy}, or from one bundle"
                 )
+
+    def _check_bundle(self, hello: Hello) -> None:
+        """Whoever signs a bundle signs limits and bindings too: of another one no coordinator comes."""
+        ours, theirs = self.own.bundle, hello.bundle
+        if "observer" not in (self.own.role, hello.role) and ours and theirs and ours != theirs:
+            self._refuse(
+                f"{self.own.host} runs bundle {ours.hex()[:12]} and {hello.host} runs bundle "
+                f"{theirs.hex()[:12]}: copy one of the two to both, and give a robot what is its own with "
+                "--devices"
+            )
 
     def _check_devices(self, hello: Hello) -> None:
         """What moves only in a simulation must not wait for robots, nor robots for it."""

@@ -177,7 +177,8 @@ class Session:
         # Whoever only looks goes as it likes, without a word.
         went = self.hello is not None and self.hello.role == "observer" and isinstance(error, AddressError)
         if error and not self.dialled and not went:
-            self._complain(str(error))
+            # Whose address it is stands before, without the port: each attempt has another.
+            self._complain(error.reason if isinstance(error, AddressError) else str(error))
         self._peers.gone(self)
         self.over.set()
 

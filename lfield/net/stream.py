@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, cast
 
 from lfield.authority.identity import STRANGER, Identity
 from lfield.errors import AddressError, LfieldError, WireError
-from lfield.net.door import caller_at
+from lfield.net.door import caller_at, host_at
 from lfield.net.framed import FramedLink
 from lfield.net.transport import join_address
 
@@ -28,10 +28,16 @@ CALLER = "a command on this computer"
 LAST_WORDS = 5.0
 #: So many bytes may wait at most for somebody who only looks: some of the longest answers.
 FOR_OBSERVERS = 4 << 20
+#: So many messages of somebody who only looks are taken at once, and so many a second: whoever asks without
+#: an end must not keep a host from an emergency stop.
+AT_ONCE, A_SECOND = 16, 200
+#: Who called and was gone before anybody looked: it has no address any more.
+GONE = "somebody who was gone at once"
 
 
 class StreamLink(FramedLink, asyncio.Protocol):
-    """One connection, either end, in plain bytes. `resident` says who is at an address of a network."""
+    """One connection in plain bytes, the end that `calls` or the other. `resident` says who is at an address
+    of a network."""
 
     _transport: asyncio.Transport
 
@@ -41,13 +47,16 @@ class StreamLink(FramedLink, asyncio.Protocol):
         max_pending: int,
         on_link: Callable[[Link], LinkHandler],
         resident: Callable[[str], Identity],
+        *,
+        calls: bool,
     ) -> None:
         super().__init__("a peer", max_block)
-        self._max_pending = max_pending
+        self._max_pending, self._calls = max_pending, calls
         self._on_link, self._resident = on_link, resident
         self._loop = asyncio.get_running_loop()
         self._waiting: list[Buffer] = []
         self._patience: asyncio.TimerHandle | None = None
+        self._looks = False
 
     async def ready(self) -> None:
         """Return when messages can be sent. Raises GreetingError, WireError and AddressError."""
@@ -77,7 +86,8 @@ class StreamLink(FramedLink, asyncio.Protocol):
     def greeted(self, role: Role) -> None:
         """See `Link.greeted`."""
         super().greeted(role)
-        if role == "observer" and self._max_pending > FOR_OBSERVERS:
+        self._looks = role == "observer"
+        if self._looks and self._max_pending > FOR_OBSERVERS:
             self._max_pending = FOR_OBSERVERS
             self._transport.set_write_buffer_limits(high=self._max_pending)
 
@@ -94,10 +104,11 @@ class StreamLink(FramedLink, asyncio.Protocol):
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         self._transport = cast("asyncio.Transport", transport)
-        self.peer = socket_address(transport.get_extra_info("peername"))
+        name = transport.get_extra_info("peername")
+        self.peer = GONE if name is None else socket_address(name)
         made = transport.get_extra_info("socket")
         if made.family == socket.AF_UNIX:
-            self.who = caller_at(made)
+            self.who = host_at(made) if self._calls else caller_at(made)
         else:
             # A hop is one small write that nobody answers: it must not wait to be joined by more.
             made.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
@@ -106,11 +117,21 @@ class StreamLink(FramedLink, asyncio.Protocol):
         self.handler = self._on_link(self)
 
     def data_received(self, data: bytes) -> None:
-        self.received(data)
+        self._rest(self.received(data))
+
+    def _rest(self, count: int) -> None:
+        """Read nothing for a while from somebody who only looks, and has sent so many messages."""
+        if self._looks and count > AT_ONCE and not self._transport.is_closing():
+            self._transport.pause_reading()
+            self._loop.call_later(count / A_SECOND, self._read_on)
+
+    def _read_on(self) -> None:
+        if not self._transport.is_closing():
+            self._transport.resume_reading()
 
     def pause_writing(self) -> None:
         """Asyncio's word for: more bytes wait than `max_pending`."""
-        self._error = WireError(f"{self.peer} does not read: over {self._max_pending} bytes wait for it")
+        self._error = WireError(f"it does not read: over {self._max_pending} bytes wait for it")
         self.closed = True
         self._transport.abort()
 
@@ -132,8 +153,8 @@ class TlsLink(StreamLink):
         *,
         calls: bool,
     ) -> None:
-        super().__init__(max_block, max_pending, on_link, nobody_known)
-        self._tls, self._calls = tls, calls
+        super().__init__(max_block, max_pending, on_link, nobody_known, calls=calls)
+        self._tls = tls
         self._channel: Channel | None = None
         self._proven: asyncio.Future[None] = self._loop.create_future()
 
@@ -148,10 +169,11 @@ class TlsLink(StreamLink):
 
     def data_received(self, data: bytes) -> None:
         channel = self._channel = self._channel or self._tls.channel(calls=False)
+        count = 0
         try:
             for plain in channel.feed(data):
                 self.who = channel.who
-                self.received(plain)
+                count += self.received(plain)
                 if self.closed:
                     return
         except LfieldError as error:
@@ -160,6 +182,7 @@ class TlsLink(StreamLink):
             self.close()
             return
         self._say(channel)
+        self._rest(count)
         if channel.proven and not self._proven.done():
             self.who = channel.who
             self._proven.set_result(None)

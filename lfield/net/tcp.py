@@ -115,7 +115,7 @@ class TcpTransport:
 
     def _new_link(self, on_link: Callable[[Link], LinkHandler], *, plain: bool, calls: bool) -> StreamLink:
         if plain or self._tls is None:
-            return StreamLink(self._max_block, self._max_pending, on_link, self._resident)
+            return StreamLink(self._max_block, self._max_pending, on_link, self._resident, calls=calls)
         return TlsLink(self._max_block, self._max_pending, on_link, self._tls, calls=calls)
 
 

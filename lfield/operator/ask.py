@@ -17,6 +17,7 @@ from lfield.net.stream import UNIX
 from lfield.net.tcp import TcpTransport
 from lfield.net.transport import Link, Transport
 from lfield.operator.addressed import Party, Place
+from lfield.text.visible import in_one_line
 from lfield.wire.coordinators import Transfer
 from lfield.wire.fields import clip
 from lfield.wire.messages import Hello, Message, Refuse, Revocations
@@ -41,17 +42,25 @@ K = TypeVar("K", bound=Hashable)
 #: For each host by its name what it answered, or the error that stood in the way.
 Answers = Mapping[str, T | LfieldError]
 
+#: Seconds before something is asked again.
+AGAIN_AFTER = 0.1
+
 #: An observer is sent no coordinators; this is the largest block it would read, in bytes.
 _MAX_BLOCK = 1 << 20
 
 
 @dataclass(frozen=True, slots=True)
 class Request(Generic[T]):
-    """What can be asked: the message, what answers it, and the seconds that a host has for that."""
+    """What can be asked: the message, what answers it, and the seconds that a host has for that.
+
+    What is to be asked `again` is until then, where a link ends before it has brought an answer: a host in a
+    flood of callers turns away by lot. Whatever comes twice must be the same as once.
+    """
 
     message: StatusRequest | EmergencyStop | Forget | Pause | Recover
     answer: type[T]
     bound: float
+    again: bool = False
 
 
 class Brought(NamedTuple):
@@ -71,7 +80,7 @@ def patiently() -> Request[Status]:
 
 def emergency_stop(reason: str, *, lift: bool = False) -> Request[EmergencyStopped]:
     """An emergency stop, or its end. It takes as long as the devices take to confirm it."""
-    return Request(EmergencyStop(clip(reason), lift), EmergencyStopped, 8.0)
+    return Request(EmergencyStop(clip(reason), lift), EmergencyStopped, 8.0, again=True)
 
 
 def forget(agent: str) -> Request[Forgotten]:
@@ -81,7 +90,7 @@ def forget(agent: str) -> Request[Forgotten]:
 
 def pause(*, lift: bool = False) -> Request[EmergencyStopped]:
     """Pause the mission, or let it go on. It takes as long as the devices take to confirm it."""
-    return Request(Pause(lift), EmergencyStopped, 8.0)
+    return Request(Pause(lift), EmergencyStopped, 8.0, again=True)
 
 
 def recover(word: Recover) -> Request[Recovered]:
@@ -125,7 +134,7 @@ def silent(answers: Answers[T]) -> dict[str, LfieldError]:
 def tell_silent(hosts: Mapping[str, LfieldError], meaning: str = "") -> None:
     """A line on stderr for each host that did not answer."""
     for host, why in hosts.items():
-        print(f"{host}: {meaning}{why}", file=sys.stderr)
+        print(in_one_line(f"{host}: {meaning}{why}"), file=sys.stderr)
 
 
 def observer(keys: Keys | None = None, connect_timeout: float = 2.0) -> TcpTransport:
@@ -170,12 +179,29 @@ async def ask_all(
     async def one(key: K, address: str) -> T | LfieldError:
         host = key.host if isinstance(key, Place) else str(key)
         try:
-            return await ask(transport, address, request, host, brings)
+            return await _persistently(transport, address, request, host, brings)
         except LfieldError as error:
             return error
 
     answers = await asyncio.gather(*(one(*place) for place in addresses.items()))
     return dict(zip(addresses, answers, strict=True))
+
+
+async def _persistently(
+    transport: Transport, address: str, request: Request[T], host: str, brings: Brought | None
+) -> T:
+    """As `ask`, and once more for as long as there is time for what is asked again."""
+    loop = asyncio.get_running_loop()
+    end = loop.time() + request.bound
+    while True:
+        try:
+            return await ask(transport, address, request, host, brings)
+        except NobodyListens:
+            raise
+        except AddressError:
+            if not request.again or loop.time() + AGAIN_AFTER > end:
+                raise
+        await asyncio.sleep(AGAIN_AFTER)
 
 
 async def ask(
@@ -244,5 +270,5 @@ class _Asking(Generic[T]):
     def on_closed(self, link: Link, error: LfieldError | None) -> None:
         if not self.answer.done():
             self.answer.set_exception(
-                error or GreetingError(f"{link.peer} closed the link without an answer")
+                error or AddressError(link.peer, "it closed the link without an answer")
             )

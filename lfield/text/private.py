@@ -135,7 +135,10 @@ _FOLDER = os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW
 def _made(path: Path) -> Iterator[int]:
     """The folder's descriptor for the duration; it is made if there is none."""
     try:
-        path.mkdir(mode=0o700, parents=True, exist_ok=True)
+        for missing in [above for above in reversed(path.parents) if not above.exists()]:
+            # By itself mkdir would make those above as the umask says.
+            missing.mkdir(mode=0o700, exist_ok=True)
+        path.mkdir(mode=0o700, exist_ok=True)
         folder = os.open(path, _FOLDER)
     except OSError as error:
         raise OutputFileError(str(path), _no_folder(path, error)) from None

@@ -28,6 +28,17 @@ def in_one_line(text: str) -> str:
     return visible(text, "")
 
 
+def continued(text: str) -> str:
+    """The same for an entry of a log, or an error, that may have lines: all but the first stand further in.
+
+    So nobody puts words into a line that looks like another entry.
+    """
+    first, *more = visible(text).split("\n")
+    if any(line[:1].strip() for line in more):
+        more = [f"    {line}" if line else "" for line in more]
+    return "\n".join([first, *more])
+
+
 def clipped(text: str, most: int) -> str:
     """At most so many characters of a text, the last one `…` where it is longer."""
     return text if len(text) <= most else f"{text[: most - 1]}…"

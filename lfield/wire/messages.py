@@ -65,7 +65,8 @@ class Hello(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
     coordinator is lost; '' where none is recovered. `origin` says in words where on the Earth its team counts
     places from; '' where nowhere. `reservation` is how long one lasts unheard, in seconds. `time` is what it
     is as far as the sender knows without the others, in seconds since 1970 UTC, and `revoked` the number of
-    its revocation list; both 0 where nobody has keys.
+    its revocation list; both 0 where nobody has keys. `bundle` is the digest of the bundle that it runs, of
+    which those hashes are a part; b"" where it runs what its own files say.
     """
 
     role: Role
@@ -84,6 +85,7 @@ class Hello(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
     reservation: Age = 0.0
     time: Moment = 0.0
     revoked: Count = 0
+    bundle: Hash = b""
 
     @property
     def remembers(self) -> int:

@@ -65,7 +65,8 @@ def test_the_team_is_believed_within_its_own_certificates() -> None:
         believed.told(beyond, BRAVO)
         assert believed.now() == 1.8e9
     believed.told(1.85e9, STRANGER)
-    believed.told(1.85e9, Identity("local", "root", NONE))
+    for kind in ("local", "person"):
+        believed.told(1.85e9, Identity(kind, "root", NONE))
     assert believed.now() == 1.8e9
 
 
@@ -78,6 +79,17 @@ def test_what_the_team_says_is_not_passed_on() -> None:
     clock.wait(10.0)
     assert believed.to_say() == 1.75e9 + 10.0
     assert believed.now() == 1.8e9 + 10.0
+
+
+def test_a_clock_that_stays_behind_is_told_once_for_each_reason() -> None:
+    clock = Pi()
+    believed = BelievedTime(clock, kept=1.7e9)
+    assert "when this host ran before" in believed.line()
+    clock.wait(3600.0)
+    assert believed.line() == ""
+    believed.told(1.8e9, BRAVO)
+    assert "since host bravo says so" in believed.line()
+    assert believed.line() == ""
 
 
 def test_a_clock_that_is_set_is_believed_again() -> None:

@@ -44,8 +44,10 @@ def test_keys_are_read_as_they_were_written_and_the_private_one_is_the_owners(le
         "authority.pem": 0o644,
         "host.pem": 0o644,
         "host.key": 0o600,
+        "revoked.crl": 0o644,
     }
-    assert mode(made.folder) == mode(ledger.folder) == 0o700
+    assert mode(made.folder) == mode(made.folder.parent) == mode(ledger.folder) == 0o700
+    assert mode(ledger.folder / "issued") == 0o700
     assert mode(ledger.folder / "authority.key") == 0o600
 
 
@@ -81,6 +83,37 @@ def test_files_that_are_not_there_are_links_or_too_large(ledger: Ledger, tmp_pat
     key.unlink()
     folders.write(made.folder, Keys("host", b"a", b"c", b"k" * (17 << 10)))
     refused(made.folder, "too large")
+
+
+def test_a_link_to_a_folder_is_followed_and_what_counts_is_the_folder(ledger: Ledger, tmp_path: Path) -> None:
+    made = ledger.make("host", "alpha", (), AT, AT + DAY)
+    link = tmp_path / "link"
+    link.symlink_to(made.folder)
+    assert folders.read(link, "host") == folders.read(made.folder, "host")
+    made.folder.chmod(0o770)
+    refused(link, "others may write to the folder")
+
+
+def test_a_host_without_a_list_was_copied_by_halves(ledger: Ledger) -> None:
+    host, person = (
+        ledger.make(kind, "alpha", (), AT, AT + DAY).folder
+        for kind in ("host", "person")  # type: ignore[arg-type]
+    )
+    assert revoked_in(folders.read_list(host), ledger.authority.certificate).serials == set()
+    assert folders.read(person, "person").revoked == b""
+    (host / "revoked.crl").unlink()
+    refused(host, r"revoked.crl is not there: copy the folder again")
+
+
+def test_an_authority_that_has_lost_its_list_begins_none_anew(ledger: Ledger) -> None:
+    ledger.make("host", "alpha", (), AT, AT + DAY)
+    gone = ledger.revoke("host", "alpha", AT)
+    kept = (ledger.folder / "revoked.crl").rename(ledger.folder / "kept")
+    with pytest.raises(KeysError, match="put a copy of it there"), opened(ledger.folder):
+        pass
+    kept.rename(ledger.folder / "revoked.crl")
+    with opened(ledger.folder) as again:
+        assert again.revoked.serials == {who.serial for who in gone}
 
 
 def test_where_keys_are_found(ledger: Ledger, tmp_path: Path) -> None:

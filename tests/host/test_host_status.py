@@ -7,14 +7,14 @@ import asyncio
 import pytest
 
 from lfield.devices.guards import Guards
-from lfield.errors import AddressError, GreetingError
+from lfield.errors import AddressError
 from lfield.host.process.until_done import until_done
 from lfield.operator.ask import STATUS, ask, ask_all
 from lfield.wire.codec import decode, encode
 from lfield.wire.fields import MAX_NUMBERS, MAX_TEXT, OLDEST
 from lfield.wire.framing import HEADER_SIZE
 from lfield.wire.messages import Hello
-from lfield.wire.observing import LinkStatus
+from lfield.wire.observing import LinkStatus, Status, StatusRequest
 from lfield.wire.watching import Events, Watch
 
 PROGRAM = """
@@ -122,6 +122,31 @@ def test_a_host_that_does_not_answer_is_an_error_among_the_answers(fleet):
     fleet(story)
 
 
+def test_whoever_asks_again_and_again_gets_one_answer_for_many(fleet):
+    async def story(team):
+        (home,) = await team.up(team.mission("resource R { init(string[] arg) { } }", "//R:r@home\n"))
+        answers = []
+
+        class Asker:
+            def on_message(self, link, message):
+                answers.append(message)
+                if isinstance(message, Hello):
+                    link.greeted("host")
+                    for _ in range(1000):
+                        link.send(StatusRequest())
+
+            def on_closed(self, link, error):
+                pass
+
+        link = await team.network.transport("desk").connect("home:8181", Asker())
+        link.send(Hello("observer", "observer", 0))
+        await asyncio.sleep(1.0)
+        assert 1 <= sum(isinstance(answer, Status) for answer in answers) <= 3
+        assert home.host.status().host == "home"
+
+    fleet(story)
+
+
 def test_a_question_that_nobody_answers_ends(fleet):
     async def story(team):
         class Silent:
@@ -140,7 +165,7 @@ def test_a_question_that_nobody_answers_ends(fleet):
         await transport.listen("rude:1", lambda link: Rude())
         with pytest.raises(AddressError, match="no answer within 2 s"):
             await ask(transport, "silent:1", STATUS)
-        with pytest.raises(GreetingError, match="without an answer"):
+        with pytest.raises(AddressError, match="without an answer"):
             await ask(transport, "rude:1", STATUS)
 
     fleet(story)

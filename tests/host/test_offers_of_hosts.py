@@ -155,7 +155,7 @@ coordinator Foreman {
         alpha.host.core.world.log = log
         await team.until(lambda: "2000 offers" in alpha.log)
         said = alpha.log.replace("1.0 <", "1 <")
-        assert "2000 offers, 0 hops; there are 2 offers, by 2 agents\nsmall: payload 1 < 2.0" in said
+        assert "2000 offers, 0 hops; there are 2 offers, by 2 agents\n    small: payload 1 < 2.0" in said
         assert not (sent.keys() - {"Ping", "Pong"})
 
     fleet(story)

@@ -10,7 +10,7 @@ from functools import cached_property
 from pathlib import Path
 
 import pytest
-from attacker import Attacker, context
+from attacker import PATIENCE, Attacker, context
 from certificates import Team, made
 from msgspec.structs import replace
 
@@ -20,16 +20,18 @@ from lfield.authority.identity import Right, uri_of
 from lfield.authority.keys import Keys
 from lfield.authority.reading import revoked_in
 from lfield.clock import ManualClock
+from lfield.errors import LfieldError
 from lfield.mission.access.rules import Access, Person
-from lfield.net.door import ROOT, local
+from lfield.net.door import ROOT, listening, local
 from lfield.net.peers import Peers
 from lfield.net.tcp import TcpTransport
 from lfield.net.tls import Tls
 from lfield.net.transport import Link
+from lfield.operator.ask import Request, ask
 from lfield.wire.codec import encode, encode_transfer
 from lfield.wire.coordinators import Ended, Transfer
 from lfield.wire.messages import AgentReport, Control, Hello, Message, Ping, Report, Revocations, Role
-from lfield.wire.observing import EmergencyStop, Forget, Pause, Recover, StatusRequest
+from lfield.wire.observing import EmergencyStop, EmergencyStopped, Forget, Pause, Recover, StatusRequest
 from lfield.wire.quorum import Propose
 from lfield.wire.reservations import Renew
 from lfield.wire.watching import Watch
@@ -37,7 +39,7 @@ from lfield.wire.watching import Watch
 #: Seconds since 1970 UTC: the certificates of `Team` are from 2026 to 2099.
 NOW = 1_795_464_000.0
 HOSTS, ADDRESSES = ("alpha", "bravo", "charlie"), ("127.0.0.1:1", "127.0.0.1:2", "127.0.0.1:3")
-OWN = Hello("host", "alpha", 7, b"p" * 32, b"d" * 32, 1 << 16)
+OWN = Hello("host", "alpha", 7, b"p" * 32, b"d" * 32, 1 << 16, bundle=b"b" * 32)
 BLOCK = b"block"
 HOP = Transfer("tom", 1, 2, 3, b"p" * 32, 7, len(BLOCK))
 TOKEN = 77
@@ -62,6 +64,16 @@ SAID_BY_COMMANDS: dict[str, Message] = {
 RULES = Access("mission.access.yaml", (Person("maria", (Right.OBSERVE,), 2), Person("nina", (), 3)))
 #: A member of the group lfield, and whoever is in no group of ours: numbers of users and groups.
 GROUP, USER, OWNER, OTHER = 900, 1001, 1000, 1002
+#: Who calls, in which groups, and the groups of the host: a service is in ours, a user's own run is not.
+AT_THE_DOOR = {
+    "same": (OWNER, {OWNER}, {OWNER}),
+    "root": (ROOT, {ROOT}, {OWNER}),
+    "root_service": (ROOT, {ROOT}, {GROUP}),
+    "member": (USER, {GROUP}, {GROUP}),
+    "user": (OTHER, {OTHER}, {GROUP}),
+}
+#: What a host without anything in it answers.
+ANSWER = EmergencyStopped({})
 
 
 class Noted:
@@ -87,6 +99,7 @@ class Noted:
         # What only hosts say counts from a host alone, and a command is no word of a host.
         if bool(host) == (message in SAID_BY_HOSTS.values()):
             self.done.append(message)
+            link.send(ANSWER)
 
     def arrived(self, host: str, header: Transfer, block: memoryview) -> None:
         self.done.append(header)
@@ -107,21 +120,26 @@ class Noted:
 class Caller:
     """What somebody shows, and calls itself. `keys` None is no certificate, without `tls` there is no TLS.
 
-    Who `replays` makes a good link, and then sends the same bytes again on another one.
+    Who `replays` makes a good link, and then sends the same bytes again on another one. Who `asks` does that
+    as a command of lfield.
     """
 
     keys: Keys | None
     calls_itself: str = "bravo"
     tls: bool = True
     program: bytes = OWN.program
+    release: bytes = OWN.bundle
     bent: Callable[[int, bytes], bytes] = lambda number, data: data
     replays: bool = False
+    asks: bool = False
 
     def hello(self, role: Role, name: str = "") -> Hello:
         """Its greeting: as a host it fits the other one's own, and a command says nothing of a mission."""
         if role == "observer":
             return Hello("observer", name or "observer", 99)
-        return replace(OWN, host=name or self.calls_itself, incarnation=99, program=self.program)
+        return replace(
+            OWN, host=name or self.calls_itself, incarnation=99, program=self.program, bundle=self.release
+        )
 
 
 class Network:
@@ -145,6 +163,8 @@ class Network:
             "host": Caller(team.host("bravo")),
             "later": Caller(team.host("bravo")),
             "bundle": Caller(team.host("bravo"), program=b"q" * 32),
+            "bindings": Caller(team.host("bravo"), release=b"c" * 32),
+            "files": Caller(team.host("bravo"), release=b""),
             "outsider": Caller(team.host("delta"), "delta"),
             "named": Caller(team.host("charlie")),
             "ended": Caller(team.host("bravo", end=ended)),
@@ -175,19 +195,20 @@ class Network:
         return any(asyncio.run(self._try(self.callers[who], what, role, "")) for role in _roles(what))
 
     def tried_at_the_door(self, who: str, what: str, monkeypatch: pytest.MonkeyPatch, folder: Path) -> bool:
-        """The same of a user of this computer at the host's Unix socket."""
-        user, groups = {
-            "same": (OWNER, set[int]()),
-            "root": (ROOT, {ROOT}),
-            "member": (USER, {GROUP}),
-            "user": (OTHER, {OTHER}),
-        }[who]
-        identity = local(user, groups, OWNER, GROUP)
-        monkeypatch.setattr("lfield.net.stream.caller_at", lambda made: identity)
+        """The same of a user of this computer at the host's Unix socket, and by lfield's own commands."""
+        user, groups, owns = AT_THE_DOOR[who]
+        callers, host = local(user, groups, OWNER, GROUP), listening(OWNER, owns, user, GROUP)
+        monkeypatch.setattr("lfield.net.stream.caller_at", lambda made: callers)
+        monkeypatch.setattr("lfield.net.stream.host_at", lambda made: host)
         caller = Caller(None, tls=False)
-        return any(
+        done = any(
             asyncio.run(self._try(caller, what, role, f"unix:{folder}/{role}")) for role in _roles(what)
         )
+        if what in SAID_BY_COMMANDS:
+            asks = Caller(None, tls=False, asks=True)
+            by_command = asyncio.run(self._try(asks, what, "observer", f"unix:{folder}/command"))
+            assert by_command == done, "whoever has a right has a command for it"
+        return done
 
     async def _try(self, caller: Caller, what: str, role: Role, door: str) -> bool:
         """One link that greets in a role and says one thing; whether it had what it wanted."""
@@ -201,6 +222,8 @@ class Network:
         if door:
             await peers.open_door(door)
         try:
+            if caller.asks:
+                return await _asked(door, SAID_BY_COMMANDS[what]) and SAID_BY_COMMANDS[what] in noted.done
             words = self._words(caller.hello(role, "charlie" if what == "other" else ""), what)
             attacker = await _said(caller, door or address, words)
             if caller.replays:
@@ -241,6 +264,15 @@ async def _said(caller: Caller, address: str, words: list[bytes]) -> Attacker:
     await attacker.listen(TOKEN)
     await attacker.hang_up()
     return attacker
+
+
+async def _asked(door: str, message: Message) -> bool:
+    """What a command of lfield comes to that says this to the host at a door: whether it was answered."""
+    request = Request(message, EmergencyStopped, PATIENCE)
+    try:
+        return await ask(TcpTransport(1 << 16), door, request, "alpha") == ANSWER
+    except LfieldError:
+        return False
 
 
 async def _repeated(address: str, pieces: list[bytes]) -> Attacker:

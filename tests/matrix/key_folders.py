@@ -44,7 +44,7 @@ class Folders:
             "cut": replace(alpha, key=alpha.key[: len(alpha.key) // 2]),
         }
         for name, keys in found.items():
-            folder.write(base / name, keys)
+            folder.write(base / name, replace(keys, revoked=keys.revoked or team.revoked(0)))
             assert (base / name / certificate_name("host")).is_file()
         (base / "readable" / key_name("host")).chmod(0o640)
 

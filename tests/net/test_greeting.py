@@ -117,13 +117,35 @@ def test_each_message_takes_its_right_and_no_other(message, right):
 def test_the_right_that_is_missing_is_named_with_what_to_do():
     assert refused(looking(person(Right.OBSERVE, Right.STOP)), LIFT) == (
         "anna may observe and stop, and this takes the right to operate: "
-        "'lfield keys person anna --may operate' gives it"
+        "new keys give it: 'lfield keys revoke person anna', then "
+        "'lfield keys person anna --may observe,stop,operate'"
     )
     assert refused(looking(local(Right.OBSERVE)), STOP) == (
         "user bob of this computer may observe, and this takes the right to stop: "
         "the user who runs the host has it, and root"
     )
     assert "anna may do nothing, and this takes" in refused(looking(person()), StatusRequest())
+
+
+def test_two_bundles_of_one_program_do_not_link():
+    ours, theirs = hello("a", bundle=b"1" * 32), hello("b", bundle=b"2" * 32)
+    machine = Greeting(ours, host("b"), hosts=HOSTS)
+    why = refused(machine, theirs)
+    assert why.startswith(
+        "a runs bundle 313131313131 and b runs bundle 323232323232: copy one of the two to both"
+    )
+    assert "--devices" in why
+    # Of files there is no bundle that others could have, and who gives commands runs none.
+    for other in (ours, hello("b"), LOOK, hello("b", bundle=b"1" * 32)):
+        if other is not ours:
+            assert refused(Greeting(ours, host("b"), hosts=HOSTS), other) == ""
+    assert refused(Greeting(hello("a"), host("b"), hosts=HOSTS), theirs) == ""
+    assert refused(Greeting(LOOK, host("b"), dialled="b"), theirs) == ""
+
+
+def test_another_program_is_named_before_another_bundle():
+    ours, theirs = hello("a", bundle=b"1" * 32), hello("b", bundle=b"2" * 32, program=b"q" * 32)
+    assert "the same program file" in refused(Greeting(ours, host("b"), hosts=HOSTS), theirs)
 
 
 def test_who_may_nothing_at_a_door_does_not_even_hear_a_greeting():

@@ -5,6 +5,7 @@ import errno
 import os
 import pwd
 import socket
+import struct
 import tempfile
 from contextlib import suppress
 from pathlib import Path
@@ -15,7 +16,7 @@ from certificates import Team
 from lfield.authority.identity import ALL
 from lfield.clock import ManualClock
 from lfield.errors import AddressError, GreetingError, WireError
-from lfield.net.door import local
+from lfield.net.door import listening, local
 from lfield.net.stream import FOR_OBSERVERS
 from lfield.net.tcp import TcpTransport, refusal
 from lfield.net.tls import Tls
@@ -204,7 +205,16 @@ def test_what_a_user_of_this_computer_may(user, groups, rights):
     assert local(user, groups, 1000, None).may == (who.may if user != 1001 else frozenset())
 
 
-def test_the_kernel_says_who_calls_at_a_door(unix):
+@pytest.mark.parametrize("groups", [(1001,), (1001, 700)])
+@pytest.mark.parametrize("user", [0, 1000, 1001])
+def test_whose_host_a_command_believes(user, groups):
+    believed = user in (0, 1000) or 700 in groups
+    assert (listening(user, groups, 1000, 700).may == ALL) == believed
+    assert listening(user, groups, 0, 700).may == listening(user, groups, 0, None).may == ALL
+    assert (listening(user, groups, 1000, None).may == ALL) == (user != 1001)
+
+
+def test_the_kernel_says_who_is_at_both_ends_of_a_door(unix):
     pair = Pair(unix)
     for link in (pair.link, pair.far.link):
         assert (link.who.kind, link.who.may) == ("local", ALL)
@@ -338,6 +348,37 @@ def test_less_is_held_for_whoever_only_looks(tcp, role, most):
     tcp.until(lambda: bool(pair.far.ends))
     assert f"does not read: over {most} bytes wait for it" in str(pair.far.ends[0])
     pair.link.abort()
+
+
+def test_whoever_asks_without_an_end_is_read_slowly(tcp):
+    """There are messages of a hundred seconds, and room for an emergency stop meanwhile."""
+    pair = Pair(tcp)
+    pair.far.link.greeted("observer")
+    for number in range(20_000):
+        pair.link.send(Ping(number))
+    tcp.until(lambda: pair.far.heard)
+    tcp.wait(asyncio.sleep(0.3))
+    assert 0 < len(pair.far.heard) < 20_000
+    # Whoever is closed meanwhile is read no more, and nothing is raised when that time is over.
+    pair.far.link.close()
+
+
+def test_whoever_is_gone_before_anybody_looks_is_nobody(tcp):
+    """As a port scanner that resets what it has opened: whoever listens then finds no address."""
+    broken, called = [], []
+    tcp.loop.set_exception_handler(lambda _, context: broken.append(context))
+
+    def on_link(link):
+        called.append(Recorder())
+        return called[-1]
+
+    listener = tcp.wait(tcp.tcp.listen("127.0.0.1:0", on_link))
+    for _ in range(100):
+        with socket.create_connection(split_address(listener.address)) as raw:
+            raw.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+    tcp.until(lambda: len(called) == 100 and all(one.ends for one in called))
+    assert broken == []
+    listener.close()
 
 
 def test_a_connection_that_is_reset_says_so(tcp):

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import asyncio
+import os
+import tempfile
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,7 +13,7 @@ import pytest
 from lfield.authority import folder
 from lfield.authority.identity import Right
 from lfield.authority.reading import revoked_in
-from lfield.errors import GreetingError, KeysError
+from lfield.errors import AddressError, GreetingError, KeysError
 from lfield.net.greeting import Greeting
 from lfield.net.tcp import TcpTransport
 from lfield.net.tls import Tls
@@ -107,6 +109,30 @@ def test_keys_that_are_not_there_keep_no_stop_from_this_computer(ring):
     assert "the keys are damaged" in str(asked(ring, keys=ring.folder)[0])
 
 
+class Crowded(Alpha):
+    """Turns away the first callers, as a host in a flood does."""
+
+    def __init__(self, first: int) -> None:
+        super().__init__()
+        self.left = first
+
+    def called(self, link):
+        self.left -= 1
+        if self.left >= 0:
+            link.abort()
+        return self
+
+
+def test_a_stop_is_asked_again_where_callers_are_turned_away(ring, monkeypatch):
+    monkeypatch.setattr(ask, "AGAIN_AFTER", 0.01)
+    assert asked(ring, ask.emergency_stop("fire"), ring.folder, Crowded(7))[0] == EmergencyStopped({})
+    assert isinstance(asked(ring, keys=ring.folder, host=Crowded(7))[0], AddressError)
+    # Who refuses has answered.
+    ring.put("me", ring.made("person", "anna", Right.OBSERVE))
+    host = Alpha()
+    assert isinstance(asked(ring, ask.emergency_stop("fire"), ring.folder, host)[0], GreetingError)
+
+
 def test_whoever_may_only_look_is_told_what_it_takes_to_stop(ring):
     ring.put("me", ring.made("person", "anna", Right.OBSERVE))
     assert asked(ring, keys=ring.folder)[0] == STATUS
@@ -146,3 +172,57 @@ def test_a_command_brings_the_revocation_list_along(ring):
     asked(ring, keys=ring.folder, host=host)
     (brought,) = [said for who, said in host.heard if isinstance(said, Revocations) and who == "anna"]
     assert revoked_in(brought.list, ring.made("host", "x").authority).number == 3
+
+
+@pytest.fixture
+def other_user(monkeypatch):
+    """A user who is not in the group lfield, and runs what listens at doors."""
+    monkeypatch.setattr("lfield.net.door._number_of_group", lambda: 900)
+    return 12347
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root can run what is another user's")
+@pytest.mark.parametrize("request_", [ask.STATUS, ask.emergency_stop("fire"), LIFT, ask.pause(lift=True)])
+def test_root_reaches_a_host_that_another_user_runs(other_user, request_):
+    assert asked_of(other_user, request_) in (STATUS, EmergencyStopped({}))
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root can run what is another user's")
+def test_who_is_not_root_believes_no_host_of_a_third(other_user, monkeypatch):
+    real = os.geteuid
+    monkeypatch.setattr("lfield.net.door.os.geteuid", lambda: real() or 1001)
+    heard: list[object] = []
+    answer = asked_of(other_user, ask.emergency_stop("fire"), heard)
+    assert isinstance(answer, GreetingError)
+    assert str(answer) == (
+        "greeting refused: what answers here is run by user 12347 of this computer, and a command believes "
+        "its own user, root, and the group 'lfield': use sudo, if that is a host of yours"
+    )
+    assert heard == []
+    for believed in (0, 1001):
+        assert asked_of(believed, ask.STATUS) == STATUS
+
+
+def asked_of(user: int, request, heard: list[object] | None = None):
+    """What asking a host comes to that this user runs: the kernel names whoever listens."""
+    host = Alpha()
+
+    async def story(door: str):
+        transport = TcpTransport(1 << 20)
+        os.seteuid(user)
+        try:
+            listener = await transport.listen(door, host.called)
+        finally:
+            os.seteuid(0)
+        try:
+            return (await ask.ask_all(transport, {"alpha": listener.address}, request))["alpha"]
+        finally:
+            listener.close()
+
+    # The folder of a test is its user's alone.
+    with tempfile.TemporaryDirectory() as folder:
+        os.chown(folder, user, -1)
+        answer = asyncio.run(story(f"unix:{folder}/door"))
+    if heard is not None:
+        heard += [message for _, message in host.heard]
+    return answer

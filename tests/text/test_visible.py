@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 
 from lfield.text.findings import Table
 from lfield.text.source import Diagnostic, Source, Span
-from lfield.text.visible import clipped, in_one_line, visible
+from lfield.text.visible import clipped, continued, in_one_line, visible
 
 
 @pytest.mark.parametrize(
@@ -33,6 +33,19 @@ def test_one_line_stays_one(text: str) -> None:
     assert len(shown.splitlines()) <= 1
     assert not any(ord(ch) < 32 or 127 <= ord(ch) < 160 for ch in shown)
     assert in_one_line(shown) == shown
+
+
+@pytest.mark.parametrize(
+    ("text", "shown"),
+    [
+        ("one", "one"),
+        ("died\n    at fly:3", "died\n    at fly:3"),
+        ("fire\nbravo is safe\n  so\n", "fire\n    bravo is safe\n      so\n"),
+        ("two\n\x1b[2J", "two\n    \\u{1b}[2J"),
+    ],
+)
+def test_what_has_lines_begins_no_other_entry(text: str, shown: str) -> None:
+    assert continued(text) == shown
 
 
 def test_what_is_too_long_is_cut() -> None:

@@ -54,6 +54,7 @@ SMALL = {
     "lfield/simulate/time.py": "the jumping clock",
     "lfield/testing/offers.py": "a team for golden programs",
     "lfield/testing/reports.py": "the guard's end of a driver, for tests",
+    "lfield/text/numbers.py": "three types of options",
     "lfield/text/findings.py": "the table class of all findings",
     "lfield/text/values.py": "values of devices in words",
     "lfield/vm/maths/library.py": "which instruction is which function, a table",

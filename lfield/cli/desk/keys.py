@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from lfield.errors import KeysError, UsageError
+from lfield.text.numbers import whole_between
 
 if TYPE_CHECKING:
     from lfield.authority.identity import Identity, Right
@@ -61,14 +62,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _add_days(parser: argparse.ArgumentParser, default: int) -> None:
-    parser.add_argument("--days", metavar="N", type=_days, help=f"how long they last (default: {default})")
-
-
-def _days(word: str) -> int:
-    days = int(word)
-    if not 0 < days <= _MOST_DAYS:
-        raise argparse.ArgumentTypeError(f"must be a number of days from 1 to {_MOST_DAYS}")
-    return days
+    parser.add_argument(
+        "--days",
+        metavar="N",
+        type=whole_between(1, _MOST_DAYS, "days"),
+        help=f"how long they last (default: {default})",
+    )
 
 
 def run(args: argparse.Namespace) -> int:
@@ -132,11 +131,14 @@ def _rights(words: str) -> tuple[Right, ...]:
     from lfield.authority.identity import Right
     from lfield.text.suggest import did_you_mean, listed
 
-    unknown = [word for word in words.split(",") if word not in list(Right)]
-    for word in unknown:
-        hint = did_you_mean(word, list(Right))
-        raise UsageError(f"--may {word}: rights are {listed(Right)}" + (f"; {hint}" if hint else ""))
-    return tuple(Right(word) for word in words.split(","))
+    named = [word for word in (part.strip() for part in words.split(",")) if word]
+    for word in named:
+        if word not in list(Right):
+            hint = did_you_mean(word, list(Right))
+            raise UsageError(f"--may {word}: rights are {listed(Right)}" + (f"; {hint}" if hint else ""))
+    if not named:
+        raise UsageError(f"--may names no right: rights are {listed(Right)}")
+    return tuple(map(Right, named))
 
 
 def _tell_made(made: Made) -> None:

@@ -13,6 +13,7 @@ from lfield import exits
 from lfield.cli.robot.device_argument import add_devices, named_devices, named_driver, setup_command
 from lfield.cli.yes import says_yes
 from lfield.errors import DevicesError
+from lfield.text.numbers import real_between
 
 if TYPE_CHECKING:
     from lfield.driver.binding import DeviceBinding
@@ -27,20 +28,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_devices(parser)
     parser.add_argument(
         "--silence",
-        type=_seconds,
+        type=real_between(0.1, 10.0, "seconds"),
         default=0.2,
         metavar="S",
         help="seconds this computer may stall before the device goes safe (0.2; more on a busy desk)",
     )
     parser.add_argument("--yes", action="store_true", help="run what moves the device without asking")
     parser.add_argument("--json", action="store_true", help="print the findings as JSON, one on each line")
-
-
-def _seconds(text: str) -> float:
-    value = float(text)
-    if not 0.1 <= value <= 10.0:
-        raise argparse.ArgumentTypeError("from 0.1 to 10 s")
-    return value
 
 
 def run(args: argparse.Namespace) -> int:

@@ -40,7 +40,8 @@ def built_here(mission: Mission, path: Path, args: argparse.Namespace) -> Missio
     """A mission that was built just now, of a bundle or of files, as what a host takes it for.
 
     A bundle that gets this computer's own devices is the one that was signed. What is of files, whoever may
-    sign bundles has signed by having it run; without such keys a host says what is missing.
+    sign bundles has signed by having it run; without such keys a host says what is missing. No other computer
+    has to have made the same of its own files.
 
     Raises KeysError for keys that cannot be used.
     """
@@ -72,7 +73,7 @@ def _signed(mission: Mission, args: argparse.Namespace) -> Mission:
         signature = sign(mission.release.digest, keys, time.time())
     except KeysError:
         return mission
-    return replace(mission, release=replace(mission.release, signature=signature))
+    return replace(mission, release=replace(mission.release, signature=signature, of_files=True))
 
 
 def keys_for_asking(host: str, args: argparse.Namespace) -> Keys | None:

@@ -16,11 +16,18 @@ from typing import TYPE_CHECKING
 from lfield import exits
 from lfield.cli.mission_argument import add_mission, mission_path, setup_command
 from lfield.errors import DevicesError, OutputFileError, UsageError
+from lfield.text.numbers import real_above_0, whole_between
 
 #: Seconds that a mission may take that nobody says more of.
 DAY = 86400.0
+#: The most that anybody may say: no keys last longer.
+LONGEST = 36500 * DAY
+#: A time to wait for somebody.
+_SECONDS = real_above_0(1e6, "seconds")
+_DESCRIPTOR = whole_between(0, 1 << 20)
 
 if TYPE_CHECKING:
+    from lfield.host.process.proving import Proof
     from lfield.journal.journal import Journal
     from lfield.journal.opening import Owner
     from lfield.mission.mission import Mission
@@ -49,12 +56,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--until-done", action="store_true", help="end when every coordinator has ended")
     parser.add_argument("--dump", metavar="DIR", type=Path, help="dump agents that die, for 'lfield inspect'")
     parser.add_argument(
-        "--unreachable-after", metavar="SECONDS", type=_seconds, help="bound of a portal call (default 10)"
+        "--unreachable-after", metavar="SECONDS", type=_SECONDS, help="bound of a portal call (default 10)"
     )
     parser.add_argument(
         "--lost-after",
         metavar="SECONDS",
-        type=_seconds,
+        type=_SECONDS,
         default=15.0,
         help="with --until-done: end when a host was not heard by anybody for so long (default 15)",
     )
@@ -71,7 +78,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--lasts",
         metavar="SECONDS",
-        type=_seconds,
+        type=real_above_0(LONGEST, "seconds"),
         default=DAY,
         help="how long the mission may take: keys that end before that are refused (default a day)",
     )
@@ -99,18 +106,11 @@ def _add_kept(parser: argparse.ArgumentParser) -> None:
 def _add_hidden(parser: argparse.ArgumentParser) -> None:
     # For processes that `--all` starts: the listening socket and the keys they inherit, the address where
     # commands find them, to end with their parent, and the command that sets up their devices.
-    parser.add_argument("--listen-fd", type=int, help=argparse.SUPPRESS)
-    parser.add_argument("--keys-fd", type=int, help=argparse.SUPPRESS)
+    parser.add_argument("--listen-fd", type=_DESCRIPTOR, help=argparse.SUPPRESS)
+    parser.add_argument("--keys-fd", type=_DESCRIPTOR, help=argparse.SUPPRESS)
     parser.add_argument("--door", default="", help=argparse.SUPPRESS)
     parser.add_argument("--leash", action="store_true", help=argparse.SUPPRESS)
     parser.add_argument("--setup", default="", help=argparse.SUPPRESS)
-
-
-def _seconds(word: str) -> float:
-    value = float(word)
-    if not 0 < value < 1e6:
-        raise argparse.ArgumentTypeError("must be a number of seconds above 0")
-    return value
 
 
 def run(args: argparse.Namespace) -> int:
@@ -186,9 +186,9 @@ def _run_one(mission: Mission, args: argparse.Namespace, *, built: bool) -> int:
 
     name = mission.team.lookup(args.host) if args.host else own_host(mission.team.hosts)
     proof = proof_of(name, args)
-    if proof is not None:
-        _look_at_port(mission, name, args)
-        mission = built_here(mission, mission_path(args), args) if built else mission
+    if proof is not None and built:
+        mission = built_here(mission, mission_path(args), args)
+    _look_first(mission, name, proof, args)
     if not _ready(mission, name, args):
         return exits.FAILED
     with (
@@ -260,15 +260,22 @@ def _journal(mission: Mission, host: str, args: argparse.Namespace) -> Iterator[
         journal.close()
 
 
-def _look_at_port(mission: Mission, host: str, args: argparse.Namespace) -> None:
-    """See that no host runs here whose folder was moved away: in its place no new journal may be put.
+def _look_first(mission: Mission, host: str, proof: Proof | None, args: argparse.Namespace) -> None:
+    """See that a host may begin before a journal of it is, or is thrown away: what is refused leaves none.
 
-    One that has its folder keeps others out by its lock. Raises AddressError.
+    And that no host runs here whose folder was moved away: in its place no new journal may be put. One that
+    has its folder keeps others out by its lock. Raises LfieldError.
     """
+    from lfield.clock import SystemClock
+    from lfield.host.process.proving import insist_on_all
     from lfield.net.local import insist_on_free
 
-    inherited = args.listen_fd is not None
-    if not inherited and _keeps(mission, args) and not os.path.exists(_place(mission, host, args)[0]):
+    if not _keeps(mission, args):
+        return
+    is_there = os.path.exists(_place(mission, host, args)[0])
+    if args.fresh or not is_there:
+        insist_on_all(mission, host, proof, SystemClock())
+    if proof is not None and args.listen_fd is None and not is_there:
         insist_on_free(mission.team.addresses[mission.team.number(host)])
 
 

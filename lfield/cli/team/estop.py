@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 from lfield import exits
 from lfield.cli.mission_argument import add_running_mission, meant_parties, meant_runs, named_mission
 from lfield.errors import AddressError
+from lfield.text.visible import in_one_line
 
 if TYPE_CHECKING:
     from lfield.errors import LfieldError
@@ -90,7 +91,7 @@ def all_confirmed(answers: Stopped, names: Mapping[Place, str], word: str) -> bo
         for device, problem in answer.devices.items():
             well = well and not problem
             said = f"{names[place]}: {device}: {f'NOT CONFIRMED: {problem}' if problem else word}"
-            print(said, file=sys.stderr if problem else sys.stdout, flush=True)
+            print(in_one_line(said), file=sys.stderr if problem else sys.stdout, flush=True)
     return well
 
 
@@ -133,4 +134,4 @@ def way_down(
 
 
 def _tell(text: str) -> None:
-    print(text, file=sys.stderr)
+    print(in_one_line(text), file=sys.stderr)

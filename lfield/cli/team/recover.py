@@ -11,6 +11,7 @@ from lfield import exits
 from lfield.cli.mission_argument import add_running_mission, meant_parties, meant_runs
 from lfield.cli.yes import says_yes
 from lfield.errors import CoordinatorAlive, LfieldError, UsageError
+from lfield.text.visible import in_one_line
 
 if TYPE_CHECKING:
     from lfield.operator.addressed import Party
@@ -37,7 +38,7 @@ def run(args: argparse.Namespace) -> int:
         tell_silent(silent({names[place]: answer for place, answer in answers.items()}))
         return exits.UNAVAILABLE
     belief = believed(args.agent, answers, names)
-    print("\n".join(belief.lines))
+    print("\n".join(map(in_one_line, belief.lines)))
     if not _agreed(args.agent, names[belief.place], yes=args.yes):
         return exits.FAILED
     _carry_out(parties, belief, names[belief.place], args.keys)

@@ -6,6 +6,7 @@ import argparse
 
 from lfield import exits
 from lfield.cli.mission_argument import add_running_mission, meant_parties, meant_runs
+from lfield.text.visible import in_one_line
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -26,7 +27,7 @@ def run(args: argparse.Namespace) -> int:
             print(f"{names[place]}: goes on")
             for device, held in answer.devices.items():
                 if held:
-                    print(f"{names[place]}: {device}: {held}")
+                    print(in_one_line(f"{names[place]}: {device}: {held}"))
     unheard = silent({names[place]: answer for place, answer in answers.items()})
     tell_silent(unheard, "NOT REACHED, it stays as it is: ")
     return exits.UNAVAILABLE if unheard else exits.DONE

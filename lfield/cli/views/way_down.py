@@ -17,6 +17,7 @@ from lfield.operator.addressed import Place
 from lfield.operator.ask import STATUS, ask_all
 from lfield.operator.descent import Descent
 from lfield.text.values import telemetry_in_words
+from lfield.text.visible import in_one_line
 
 #: Seconds between two looks.
 INTERVAL = 0.5
@@ -55,7 +56,7 @@ async def _look(
 
 def _lines(descent: Descent, names: Mapping[Place, str]) -> None:
     for device in descent.news():
-        print(f"{names[device.place]}: {device.name}: {device.words}", flush=True)
+        print(in_one_line(f"{names[device.place]}: {device.name}: {device.words}"), flush=True)
 
 
 def _table(descent: Descent, names: Mapping[Place, str]) -> Table:

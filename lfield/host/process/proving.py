@@ -92,6 +92,17 @@ def insist_on_signature(mission: Mission, proof: Proof, admission: Judged, kept:
     )
 
 
+def insist_on_all(mission: Mission, host: str, proof: Proof | None, clock: Clock) -> None:
+    """See that a host may begin that has kept nothing yet, before there is anything of it.
+
+    Raises UsageError, KeysError and SignatureError.
+    """
+    if proof is None:
+        insist_on_keys(host, mission.team.hosts)
+        return
+    insist_on_signature(mission, proof, admitted(proof, host, clock, ())[1], ())
+
+
 def _insist_on_good(own: Identity, revoked: Revoked, now: float, lasts: float) -> None:
     if own.serial in revoked.serials:
         raise KeysError(
@@ -99,7 +110,7 @@ def _insist_on_good(own: Identity, revoked: Revoked, now: float, lasts: float) -
         )
     if own.ends < now + lasts:
         raise KeysError(
-            f"the certificate of {own} ends {when(own.ends)}, and the mission may last {lasts:g} s from "
+            f"the certificate of {own} ends {when(own.ends)}, and the mission may last {lasts:.10g} s from "
             f"{when(now)} on: renew it with 'lfield keys renew {own}', or say with --lasts how long it takes"
         )
 

@@ -45,7 +45,9 @@ class Watcher:
         self._every = 1.0 / watch.telemetry if watch.telemetry else 0.0
         #: When telemetry is to be looked at next for it, None for never.
         self.sample_due: float | None = up if self._every else None
-        self._next, self._heard = up, up
+        #: When a batch may be sent to it next.
+        self.next = up
+        self._heard = up
 
     def seen(self, batch: int, up: float) -> None:
         """It has read up to that batch."""
@@ -62,7 +64,7 @@ class Watcher:
         if self._is_behind:
             return self._heard + PATIENCE
         owes = not self._batch or self._snapshot or self._owed or self._stream.latest > self._after
-        return self._next if owes else self._next - LEAST + QUIET
+        return self.next if owes else self.next - LEAST + QUIET
 
     @property
     def _is_behind(self) -> bool:
@@ -100,7 +102,7 @@ class Watcher:
         else:
             told = self._told()
         self._batch += 1
-        self._next = up + LEAST
+        self.next = up + LEAST
         lost, self._lost = dict(self._lost), Counter()
         return Events(self._life, self._batch, at, up, after, self._stream.latest, told, lost, shown)
 

@@ -56,7 +56,7 @@ class Coordinators:
         self.mobility = Mobility(
             own, peers=hosts, agents=agents, inject=self._inject, unreachable_after=unreachable_after
         )
-        self.recovery = Recovery(pages, own.mission)
+        self.recovery = Recovery(pages, own.mission, mission.release.digest)
         self.keeping = Keeping([] if self.recovery.explained else [explanation(mission, own.mission)])
         self.mobility.restore(self.recovery.copies, self.recovery.parked)
         #: Somebody has paused the mission: time stands still for what waits here.
@@ -185,11 +185,11 @@ class Coordinators:
         self.halted = True
         if not self._own.memory or self._early is not None:
             return
-        here = self._mission.team.number(self._own.host)
+        here, known = self._mission.team.number(self._own.host), self.mobility.knowledge()
         own = {member.id for member in self._members.values() if member.host == here}
-        going = any(row.agent in own and row.state != "EXITED" for row in self.mobility.knowledge())
+        going = any(row.agent in own and row.state != "EXITED" for row in known)
         self.keeping.page(Run(open=going), self._clock.monotonic())
-        if self._mission.release.by and not going:
+        if self._mission.release.by and self.recovery.over(self._members, known):
             self.keep(BundlePage(b""))
 
     def arrived(self, host: str, header: Transfer, block: memoryview) -> None:

@@ -7,12 +7,13 @@ coordinators do not wait. Pages that nothing depends on go along with the next o
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 
 from lfield.bytecode.encoding import encode
 from lfield.clock import Clock
 from lfield.journal.pages import (
     BegunPage,
+    BundlePage,
     CopyPage,
     Key,
     Page,
@@ -141,12 +142,13 @@ def explanation(mission: Mission, digest: bytes) -> ProgramPage:
 
 
 class Recovery:
-    """The pages of a host's journal; `mission` is the hash of what it runs now (`Hello.mission`).
+    """The pages of a host's journal; `mission` is the hash of what it runs now (`Hello.mission`), and
+    `bundle` the digest of the bundle that it is from, b"" without one.
 
     A coordinator of another mission stays parked: it waits for its own program and deployment.
     """
 
-    def __init__(self, pages: Iterable[Page], mission: bytes) -> None:
+    def __init__(self, pages: Iterable[Page], mission: bytes, bundle: bytes = b"") -> None:
         pages = list(pages)
         copies = [page for page in pages if isinstance(page, CopyPage)]
         ended = _outdated(copies)
@@ -175,6 +177,19 @@ class Recovery:
         self.starts = next((page.count for page in pages if isinstance(page, Starts)), None)
         #: Whether the run that was begun here earlier goes on.
         self.goes_on = any(page.open for page in pages if isinstance(page, Run))
+        #: The starts that ended before this bundle was begun here.
+        self._earlier = {(page.agent, page.generation) for page in copies if page.state == "EXITED"}
+        if BundlePage(bundle) in pages:
+            self._earlier = set()
+
+    def over(self, coordinators: Collection[str], known: Iterable[Known]) -> bool:
+        """Whether the mission has ended, as far as is heard here: every coordinator of the team, in this run.
+
+        One that has not come here yet may be under way all the same, wherever its home is.
+        """
+        rows = [row for row in known if (row.agent, row.generation) not in self._earlier]
+        ended = {row.agent for row in rows if row.state == "EXITED"}
+        return ended.issuperset(coordinators) and all(row.state == "EXITED" for row in rows)
 
     def why_not(self, agent: str, known: Iterable[Known]) -> str:
         """Why a coordinator of this host is not started anew, '' if nothing is against it."""

@@ -64,7 +64,7 @@ class HostWorld:
     def log(self, agent: Agent, text: str) -> None:
         """A line of `print`."""
         self._teller.printed(agent.id, text)
-        self._out(Say(f"{agent.id}: {text}", told=True))
+        self._out(Say(f"{agent.id}: {text}", lines=True, told=True))
 
     def may_begin(self, agent: Agent, acts: bool) -> bool:
         """Whether a portal of this host may begin now.
@@ -154,5 +154,5 @@ class HostWorld:
     def _report_death(self, agent: Agent) -> None:
         visited = " → ".join(self._team.hosts[n] for n in agent.block.trail() if n < len(self._team.hosts))
         where = f"\n    hosts visited: {visited}" if agent.member.kind == "coordinator" else ""
-        self._out(Say(f"{agent.id} died of an uncaught {agent.report}{where}"))
+        self._out(Say(f"{agent.id} died of an uncaught {agent.report}{where}", lines=True))
         self._out(Died(agent))

@@ -44,8 +44,10 @@ class Watchers:
         if len(self._watchers) >= MOST and link not in self._watchers:
             self._end(link, f"{MOST} others watch {self._core.name} already")
             return
-        teller = self._teller
-        self._watchers[link] = Watcher(teller.stream, self._core.incarnation, message, teller.up)
+        teller, before = self._teller, self._watchers.get(link)
+        # Nobody can keep a host busy by asking anew.
+        begins = teller.up if before is None else max(teller.up, before.next)
+        self._watchers[link] = Watcher(teller.stream, self._core.incarnation, message, begins)
         self._portals.attach()
         if self._leaving is not None:
             self._leaving.cancel()

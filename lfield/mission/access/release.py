@@ -19,13 +19,20 @@ class Release:
     """A bundle as it was read: the `digest` of all of it, and its `signature` as it came.
 
     `by` is who has signed it, once that was seen, `at` when that was, in seconds since 1970 UTC; '' and 0.0
-    until then. A mission that is from files has no digest.
+    until then. A mission that is from files has no digest, unless a bundle was made of them to run them here
+    (`of_files`).
     """
 
     digest: bytes = b""
     signature: bytes = b""
     by: str = ""
     at: float = 0.0
+    of_files: bool = False
+
+    @property
+    def shared(self) -> bytes:
+        """The digest that all hosts of the team have alike; b"" where each makes its bundle of its files."""
+        return b"" if self.of_files else self.digest
 
     @property
     def short(self) -> str:

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 
 from lfield.driver.binding import DeviceBinding
 from lfield.errors import UsageError
+from lfield.text.numbers import whole_between
 from lfield_sim.faults import Faults, add_fault_option
 from lfield_sim.state_log import StateLog, add_log_option
 
@@ -28,13 +29,6 @@ def parse_listen(text: str) -> tuple[str, str, int]:
             f"cannot listen on '{text}'; write socketcand:HOST:PORT (port 0: any free one) or {_PTY}[:PATH]"
         )
     return kind, host, int(port)
-
-
-def _bitrate(text: str) -> int:
-    value = int(text)
-    if not 10_000 <= value <= 1_000_000:
-        raise argparse.ArgumentTypeError("a bit rate from 10000 to 1000000")
-    return value
 
 
 class CanSim:
@@ -58,7 +52,13 @@ class CanSim:
             metavar="KIND:NODE|FILE[:NAME][,KEY=VALUE]",
             help="cia402:5, odrive:3 or dbc:FILE, as often as wanted",
         )
-        parser.add_argument("--bitrate", type=_bitrate, default=1_000_000, metavar="BIT/S", help="(1000000)")
+        parser.add_argument(
+            "--bitrate",
+            type=whole_between(10_000, 1_000_000, "bits per second"),
+            default=1_000_000,
+            metavar="BIT/S",
+            help="(1000000)",
+        )
         add_log_option(parser)
         add_fault_option(parser)
         parser.add_argument(

@@ -8,6 +8,7 @@ import tempfile
 from collections.abc import Sequence
 
 from lfield.driver.binding import DeviceBinding
+from lfield.text.numbers import whole_between
 from lfield_sim.faults import add_fault_option
 from lfield_sim.state_log import add_log_option
 
@@ -37,18 +38,26 @@ class DynamixelSim:
         parser.add_argument(
             "--listen", default="", metavar="PATH", help="of the port (in a new temporary folder)"
         )
-        parser.add_argument("--baud", type=int, choices=BAUDS, default=57_600, help="of the servos (57600)")
+        parser.add_argument(
+            "--baud",
+            type=whole_between(min(BAUDS), max(BAUDS), "bauds"),
+            choices=BAUDS,
+            default=57_600,
+            help="of the servos (57600)",
+        )
         parser.add_argument(
             "--protocol", choices=("1.0", "2.0"), default="2.0", help="where a model has both (2.0)"
         )
         parser.add_argument(
             "--return-delay",
-            type=int,
+            type=whole_between(0, 1000, "microseconds"),
             default=500,
             metavar="US",
             help="before they answer, in microseconds (500)",
         )
-        parser.add_argument("--seed", type=int, default=1, metavar="N", help="of random faults (1)")
+        parser.add_argument(
+            "--seed", type=whole_between(0, 1 << 32), default=1, metavar="N", help="of random faults (1)"
+        )
         parser.add_argument(
             "--until-stdin-closes", action="store_true", help="end with the one who started it"
         )

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from lfield.driver.binding import DeviceBinding
 from lfield.driver.frame import Placement
 from lfield.errors import PluginError, UsageError
+from lfield.text.numbers import real_above_0, real_between
 from lfield_sim.faults import add_fault_option
 from lfield_sim.mavlink.options import (
     APART,
@@ -23,9 +24,7 @@ from lfield_sim.mavlink.options import (
     fitted,
     origin,
     parse_listen,
-    positive,
     settings,
-    share,
     speeds,
     stand,
     system,
@@ -34,6 +33,9 @@ from lfield_sim.mavlink.options import (
 )
 from lfield_sim.mavlink.set_up import STATES, set_up
 from lfield_sim.state_log import add_log_option
+
+#: A speed, an acceleration, a charge.
+_POSITIVE = real_above_0(1e6)
 
 
 class MavlinkSim:
@@ -53,9 +55,11 @@ class MavlinkSim:
             help="one of several on the link, instead of the three options above",
         )  # fmt: skip
         for option, unit, meaning in SPEEDS:
-            parser.add_argument(option, type=positive, metavar=unit, help=meaning)
-        parser.add_argument("--battery", type=share, default=1.0, metavar="0..1", help="charge at start")
-        parser.add_argument("--capacity", type=positive, metavar="MAH", help="of the battery (3300)")
+            parser.add_argument(option, type=_POSITIVE, metavar=unit, help=meaning)
+        parser.add_argument(
+            "--battery", type=real_between(0.0, 1.0), default=1.0, metavar="0..1", help="charge at start"
+        )
+        parser.add_argument("--capacity", type=_POSITIVE, metavar="MAH", help="of the battery (3300)")
         parser.add_argument(
             "--param", action="append", default=[], metavar="NAME[@SYSTEM]=VALUE", help="any parameter"
         )

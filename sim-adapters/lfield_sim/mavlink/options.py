@@ -86,32 +86,19 @@ def _numbers(text: str, count: int) -> list[float]:
     return numbers
 
 
-def share(text: str) -> float:
-    """A number from 0 to 1."""
-    value = float(text)
-    if not 0.0 <= value <= 1.0:
-        raise argparse.ArgumentTypeError("a share from 0 to 1")
-    return value
-
-
-def positive(text: str) -> float:
-    """A number above 0."""
-    value = float(text)
-    if not 0.0 < value < 1e6:
-        raise argparse.ArgumentTypeError("a number above 0")
-    return value
-
-
 def system(text: str) -> int:
     """A MAVLink system id."""
-    if not text.isdecimal() or not 1 <= int(text) <= 254:
+    if not text.isdecimal() or not 1 <= int(text[:4]) <= 254:
         raise argparse.ArgumentTypeError("a system id from 1 to 254")
     return int(text)
 
 
 def board(text: str) -> int:
     """The number of a board, in hexadecimal; those of all vehicles of a link fit 96 bits."""
-    value = int(text, 16)
+    try:
+        value = int(text, 16)
+    except ValueError:
+        value = -1
     if not 0 <= value < 1 << BOARD_BITS:
         raise argparse.ArgumentTypeError(f"a hexadecimal number of {BOARD_BITS} bits")
     return value

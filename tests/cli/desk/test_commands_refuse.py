@@ -53,11 +53,13 @@ def refused(here):
     [
         ([], "the following arguments are required: COMMAND"),
         (["fly"], "invalid choice: 'fly'"),
-        (["up"], "one of the arguments --deploy MISSION is required"),
+        (["up"], "one of the arguments MISSION --deploy is required"),
         (["up", "--deploy", "mission.dL", "--wings"], "unrecognized arguments: --wings"),
         (["up", "--deploy", "mission.dL", "--all", "--host", "alpha"], "not allowed with argument"),
         (["up", "--deploy", "mission.dL", "--lost-after", "soon"], "--lost-after"),
         (["up", "--deploy", "mission.dL", "--unreachable-after", "-1"], "a number of seconds above 0"),
+        (["up", "--deploy", "mission.dL", "--lasts", "400d"], "and at most 3153600000, not '400d'"),
+        (["up", "--deploy", "mission.dL", "--lasts", "1e10"], "and at most 3153600000, not '1e10'"),
         (["up", "--deploy", "mission.dL", "--map", "alpha"], "write it as NAME=ADDR:PORT"),
         (["up", "--deploy", "mission.dL", "--map", "alpha=localhost:0"], "write it as NAME=ADDR:PORT"),
         (["ps", "--deploy", "mission.dL", "--map", "alhpa=localhost:1"], "did you mean 'alpha'"),
@@ -78,6 +80,12 @@ def test_help_and_version_are_answers(lfield):
     assert "130  interrupted" in "\n".join(shown.out)
     assert lfield("--version").out[0].startswith("lfield ")
     assert "--until-done" in "\n".join(lfield("up", "--help").out)
+
+
+@pytest.mark.parametrize("command", ["up", "ps", "estop"])
+def test_nothing_is_the_same_as_what_comes_later(here, command):
+    text = "\n".join(here(command, "--help").out)
+    assert -1 < text.index("(.dL) or bundle (.lfm)") < text.index("the same, as an option")
 
 
 # files

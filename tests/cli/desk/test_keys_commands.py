@@ -11,9 +11,13 @@ from pathlib import Path
 import pytest
 
 from lfield.authority import folder as folders
+from lfield.authority.identity import Identity, Right
+from lfield.authority.judge import ALL_IS_WELL
 from lfield.authority.reading import checked, revoked_in
+from lfield.authority.rights import lacks
 from lfield.authority.signature import signed
 from lfield.mission import bundle
+from lfield.wire.observing import EmergencyStop
 
 PROGRAM = "resource Bell { init(string[] arg) { } portal ring() { } }\n"
 DEPLOYMENT = "//Bell:bell@alpha\n//Bell:other@bravo\n"
@@ -97,10 +101,15 @@ def test_the_keys_of_a_folder_are_shown_with_what_is_wrong(here, team: Path, own
         ("keys person bob --may fly", 64, "--may fly: rights are observe, stop, operate and command"),
         ("keys person bob --may stopp", 64, "stop"),
         ("keys person bob", 64, "--may"),
-        ("keys host carl --days 0", 64, "a number of days from 1"),
-        ("keys host carl --days soon", 64, "--days"),
+        ("keys person bob --may ,", 64, "--may names no right: rights are observe,"),
+        ("keys host carl --days 0", 64, "must be a whole number of days from 1 to 36500, not '0'"),
+        ("keys host carl --days soon", 64, "must be a whole number of days from 1 to 36500, not 'soon'"),
+        ("keys host carl --days 0.5", 64, "must be a whole number of days from 1 to 36500, not '0.5'"),
+        ("keys host carl --days nan", 64, "must be a whole number of days from 1 to 36500, not 'nan'"),
         ("keys host alpha", 65, "'lfield keys renew host alpha' makes them last longer"),
         ("keys host ../x", 65, "is no name for keys"),
+        ("keys person anna --may stop", 65, "revoke person anna' ends them, and then there can be some"),
+        ("keys renew person bob", 65, "'lfield keys person bob --may ...' makes some"),
         ("keys renew host", 64, "say whom to renew"),
         ("keys renew authority alpha", 64, "say whom to renew"),
         ("keys renew host carl", 65, "host carl has no keys that are not revoked"),
@@ -120,6 +129,21 @@ def test_command_lines_that_make_no_sense(
     said = here(*line.split())
     assert said.status == status, said
     assert words in said.err[0]
+
+
+@pytest.mark.parametrize("words", ["observe, stop", "stop,", " observe ,stop , "])
+def test_rights_may_have_blanks_and_a_comma_at_the_end(here, team: Path, words: str) -> None:
+    assert here("keys", "person", "bob", "--may", words).out[0].endswith("may observe,stop")
+
+
+def test_the_hint_for_somebody_who_lacks_a_right_gives_it(here, team: Path) -> None:
+    may = frozenset({Right.OBSERVE, Right.COMMAND})
+    assert here("keys", "person", "oli", "--may", "observe,command").status == 0
+    said = lacks(Identity("person", "oli", may), ALL_IS_WELL, EmergencyStop("fog"))
+    for line in re.findall("'lfield (.*?)'", said):
+        done = here(*line.split())
+        assert done.status == 0, done.err
+    assert done.out[0].endswith("may observe,stop,command")
 
 
 def test_an_authority_may_be_elsewhere(here, lfield, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -127,12 +127,11 @@ def test_bad_bytes_of_a_host_close_one_link_and_are_told(alpha, name):
 
 def test_a_frame_that_stops_in_the_middle(alpha):
     with connect_as(alpha, "bravo") as sock:
-        near = "{}:{}".format(*sock.getsockname())
         whole = encode(Hello("observer", "observer", 0))
         sock.sendall(whole[: len(whole) // 2])
         sock.shutdown(socket.SHUT_WR)
         drain(sock)
-    told(alpha, f"{near} closed the link in the middle of a message")
+    told(alpha, "it closed the link in the middle of a message")
 
 
 def test_a_greeting_copied_from_another_host_is_not_believed(alpha):

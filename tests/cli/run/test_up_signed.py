@@ -81,10 +81,25 @@ def test_what_nobody_has_signed_who_may_does_not_run(lfield, here, made, tmp_pat
     assert "is not of this authority" in refused(lfield, *maps)
 
 
+def test_a_bundle_that_is_refused_leaves_no_folder_and_throws_none_away(lfield, here, made) -> None:
+    maps = made()
+    state = lfield.folder / "kept"
+    assert "nobody has signed it" in refused(lfield, *maps, "--state", state)
+    assert not state.exists()
+    assert here("sign", "mission.lfm").status == 0
+    words = ("up", "mission.lfm", *maps, "--first-start", "--until-done", "--state", state, "--host")
+    assert [host.wait() for host in [lfield.start(*words, name) for name in ("alpha", "bravo")]] == [0, 0]
+    journal = next(path for path in state.rglob("*") if path.is_file() and "alpha" in str(path))
+    before = journal.stat().st_ino
+    assert here("build", "mission.dL").status == 0
+    assert "nobody has signed it" in refused(lfield, *maps, "--state", state, "--fresh", "--yes")
+    assert journal.stat().st_ino == before
+
+
 def test_a_robots_own_devices_file_needs_no_other_signature(lfield, here, made) -> None:
     maps = made()
     lfield.write("robot.yaml", "unreachable_after: 5\n")
-    words = ("up", "mission.lfm", *maps, "--devices", "robot.yaml", "--until-done", "--first-start")
+    words = ("up", "mission.lfm", *maps, "--until-done", "--first-start", "--devices", "robot.yaml")
     lfield.keys.put("me", lfield.keys.made("person", "olga", Right.OPERATE))
     unsigned = lfield(*words, "--host", "alpha")
     assert lfield.status(unsigned) == 65
@@ -92,8 +107,38 @@ def test_a_robots_own_devices_file_needs_no_other_signature(lfield, here, made) 
     lfield.keys.put("me", lfield.keys.made("person", "carl", Right.COMMAND))
     lfield.keys.sign(lfield.folder / "mission.lfm")
     lfield.keys.put("me", lfield.keys.made("person", "olga", Right.OPERATE))
-    hosts = [lfield.start(*words, "--host", name) for name in ("alpha", "bravo")]
+    # The other one has the devices of the bundle.
+    hosts = [lfield.start(*words, "--host", "alpha"), lfield.start(*words[:-2], "--host", "bravo")]
     assert [host.wait() for host in hosts] == [0, 0]
+
+
+def test_two_signed_bundles_that_differ_in_bindings_alone_do_not_link_and_both_are_stopped(
+    lfield, here, made
+) -> None:
+    maps = made("?stays")
+    assert here("sign", "mission.lfm").status == 0
+    alpha = lfield.start("up", "mission.lfm", *maps, "--first-start", "--host", "alpha")
+    alpha.wait_for("is up on")
+    lfield.write("mission.devices.yaml", "unreachable_after: 5\n")
+    for words in (("build", "mission.dL", "-o", "other.lfm"), ("sign", "other.lfm")):
+        assert here(*words).status == 0
+    bravo = lfield.start("up", "other.lfm", *maps, "--host", "bravo")
+    bravo.wait_for(r"runs bundle \w{12} and \w+ runs bundle \w{12}: copy one of the two to both")
+    stopped = here("estop", "--no-wait", "mission.lfm", *maps)
+    assert {line.partition(":")[0] for line in stopped.out} >= {"alpha", "bravo"}, stopped
+    assert bravo.out == []
+
+
+def test_hosts_that_build_of_files_may_have_devices_of_their_own(lfield, made) -> None:
+    maps = made()
+    lfield.write("robot.yaml", "unreachable_after: 5\n")
+    words = ("up", "--deploy", "mission.dL", *maps, "--until-done", "--first-start")
+    hosts = [
+        lfield.start(*words, "--host", "alpha"),
+        lfield.start(*words, "--host", "bravo", "--devices", "robot.yaml"),
+    ]
+    assert [host.wait() for host in hosts] == [0, 0]
+    assert hosts[1].out == ["here"]
 
 
 def test_a_bit_that_was_changed_after_signing_is_seen(lfield, here, made) -> None:

@@ -16,13 +16,19 @@ from lfield.authority.signature import sign
 from lfield.clock import SystemClock
 from lfield.errors import SignatureError
 from lfield.host.process.proving import Proof, insist_on_signature
-from lfield.journal.pages import BundlePage
+from lfield.host.team.keeping import Recovery
+from lfield.journal.pages import BundlePage, CopyPage
 from lfield.mission.access.release import Release
 from lfield.testing.keys import Keyring
+from lfield.wire.coordinators import Known
 
 PROGRAM = """
 resource Echo { init(string[] arg) { } portal say() { sleep(1.0); } }
 coordinator Caller { init(string[] arg) { if (arg.length() > 1) while (true) findEcho("echo").say(); } }
+"""
+GUEST = """
+resource Echo { init(string[] arg) { } portal say() { while (true) sleep(1.0); } }
+coordinator Caller { init(string[] arg) { if (arg.length() > 1) findEcho("echo").say(); } }
 """
 ENDLESS, DONE = (f"//Caller:tom@alpha{words}\n//Echo:echo@alpha\n//Echo:far@bravo\n" for words in ("?on", ""))
 DIGEST = b"b" * 32
@@ -46,12 +52,55 @@ def test_a_signed_bundle_is_kept_until_its_mission_has_ended_in_order(fleet, dep
         await team.until(lambda: kept(team, "alpha") == kept(team, "bravo") == [DIGEST])
         await alpha.host.stop()
         assert kept(team, "alpha") == left
-        # A host without coordinators of its own has begun it as well, and may have to go on with it.
+        # A host without coordinators of its own has begun it as well, and has to go on with it as long.
         assert kept(team, "bravo") == [DIGEST]
         await bravo.host.stop()
-        assert kept(team, "bravo") == [b""]
+        assert kept(team, "bravo") == left
 
     fleet(story)
+
+
+def test_a_host_that_holds_a_coordinator_of_another_home_goes_on_with_its_bundle(fleet):
+    async def story(team):
+        mission = signed(team.mission(GUEST, "//Caller:tom@alpha?go\n//Echo:echo@bravo\n"))
+        alpha, bravo = await team.up(mission, keeps=True)
+        await team.until(lambda: bravo.holds("tom"))
+        await bravo.host.stop()
+        await alpha.host.stop()
+        assert [kept(team, host) for host in ("alpha", "bravo")] == [[DIGEST], [DIGEST]]
+
+    fleet(story)
+
+
+def test_an_ending_of_an_earlier_run_does_not_end_the_bundle_of_this_one(fleet):
+    async def story(team):
+        once = signed(team.mission(GUEST, "//Caller:tom@alpha\n//Echo:echo@bravo\n"))
+        alpha, bravo = await team.up(once, keeps=True)
+        await team.ended("tom")
+        await team.until(lambda: any(row.state == "EXITED" for row in bravo.host.mobility.knowledge()))
+        await bravo.host.stop()
+        await alpha.host.stop()
+        assert [kept(team, host) for host in ("alpha", "bravo")] == [[b""], [b""]]
+        # The devices of another computer are not up yet, so nothing is heard of what goes on there.
+        (bravo,) = await team.up(once, "bravo", keeps=True)
+        await team.until(lambda: kept(team, "bravo") == [DIGEST])
+        await bravo.host.stop()
+        assert kept(team, "bravo") == [DIGEST]
+
+    fleet(story)
+
+
+def test_what_ended_before_a_restart_in_flight_has_ended_after_it():
+    pages = [CopyPage("tom", 1, "EXITED", 1, 1, outcome="done")]
+    tom, ann = Known("tom", 1, 1, 1, "EXITED"), Known("ann", 1, 1, 1, "EXITED")
+    again = Recovery([*pages, BundlePage(DIGEST)], b"", DIGEST)
+    assert again.over(("tom",), [tom])
+    assert again.over(("tom", "ann"), [tom, ann])
+    # Nothing is heard of ann; tom runs again.
+    assert not again.over(("tom", "ann"), [tom])
+    assert not again.over(("tom",), [tom, Known("tom", 2, 1, 1, "RUN")])
+    for other in (b"", b"c" * 32):
+        assert not Recovery([*pages, BundlePage(other)], b"", DIGEST).over(("tom",), [tom])
 
 
 def test_of_a_bundle_that_nobody_had_to_sign_nothing_is_kept(fleet):

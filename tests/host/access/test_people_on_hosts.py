@@ -72,6 +72,23 @@ def test_who_is_left_less_hears_by_which_line_and_may_stop_all_the_same(fleet, n
     fleet(story)
 
 
+FORGED = "fire\nalpha | bravo is safe"
+
+
+def test_nobody_puts_a_line_into_the_log_that_looks_like_another(fleet, named):
+    async def story(team):
+        program = PROGRAM.replace("while (true)", 'print("out\\nalpha is up"); while (true)')
+        mission = team.mission(program, ALONE)
+        (alpha,) = await team.up(mission, "alpha", admission=named())
+        await asked(team, "anna", emergency_stop(FORGED))
+        await team.until(lambda: "out\n" in alpha.log)
+        assert "EMERGENCY STOP by anna: fire\\nalpha | bravo is safe\n" in alpha.log
+        assert "tom: out\n    alpha is up\n" in alpha.log
+        assert alpha.host.core.coordinators.stopped == "fire\\nalpha | bravo is safe"
+
+    fleet(story)
+
+
 def test_without_a_line_a_person_has_what_the_certificate_says(fleet, named):
     async def story(team):
         await up(team, named, PEOPLE)

@@ -3,10 +3,15 @@
 from __future__ import annotations
 
 import asyncio
+from dataclasses import replace
 
 import msgspec
 
 from lfield.authority.identity import ALL, NONE, Identity
+from lfield.errors import AddressError
+from lfield.mission.access.release import Release
+from lfield.net.owner import Complaints
+from lfield.net.session import Session
 from lfield.simulate import network
 from lfield.wire.messages import Hello, Refuse
 from lfield.wire.observing import Status, StatusRequest
@@ -54,6 +59,29 @@ def test_hosts_of_two_deployments(fleet):
     fleet(story)
 
 
+def test_hosts_of_two_bundles_that_differ_in_their_bindings_alone(fleet):
+    async def story(team):
+        mission = team.mission(PROGRAM, DEPLOYMENT)
+        one, other = (replace(mission, release=Release(digest * 32, by="anna")) for digest in (b"1", b"2"))
+        (bravo,) = await team.up(other, "bravo")
+        (alpha,) = await team.up(one, "alpha")
+        await _stays_refused(team, alpha, bravo, "copy one of the two to both")
+
+    fleet(story)
+
+
+def test_a_host_of_files_and_one_of_a_bundle_talk(fleet):
+    async def story(team):
+        mission = team.mission(PROGRAM, DEPLOYMENT)
+        files = replace(mission, release=Release(b"1" * 32, by="anna", of_files=True))
+        (bravo,) = await team.up(files, "bravo")
+        await team.up(replace(mission, release=Release(b"2" * 32, by="anna")), "alpha")
+        assert await team.ended("tom") == "done"
+        assert bravo.output == ["here"]
+
+    fleet(story)
+
+
 def test_a_wrong_address_leads_to_another_host(fleet):
     async def story(team):
         mission = team.mission(PROGRAM, DEPLOYMENT + "//Echo:third@carol\n")
@@ -78,6 +106,29 @@ def test_a_second_host_with_the_same_name_is_refused_and_the_first_goes_on(fleet
         assert not _told(alpha, words)
 
     fleet(story)
+
+
+class StrangersPeers:
+    """Who keeps a link of a caller that never greets."""
+
+    def __init__(self, note):
+        self.complain = Complaints(note).say
+
+    def now(self):
+        return 0.0
+
+    def gone(self, session):
+        pass
+
+
+def test_a_caller_that_resets_again_and_again_is_told_once():
+    log = []
+    peers = StrangersPeers(log.append)
+    for port in (40001, 40002, 40003):
+        session = Session(peers, None)
+        session.link = type("Reset", (), {"peer": f"192.0.2.7:{port}"})()
+        session.on_closed(session.link, AddressError(session.link.peer, "the connection was lost: reset"))
+    assert log == ["closed a link from 192.0.2.7: the connection was lost: reset"]
 
 
 class EagerTransport:

@@ -37,7 +37,8 @@ Patch = pytest.MonkeyPatch
 class Bug:
     """A bug: how it is planted, why it is one, by which breaches it may be found, and a seed that does.
 
-    `draws` has the stories that it needs.
+    `draws` has the stories that it needs, and from `first` on a thousand of them find it: the rarest need
+    many thousands, which nobody waits for.
     """
 
     plant: Callable[[Patch], None]
@@ -45,6 +46,7 @@ class Bug:
     breaches: frozenset[str]
     seed: int
     draws: Draws = plain
+    first: int = 0
 
     @property
     def name(self) -> str:

@@ -101,8 +101,8 @@ def running_without_a_lease(patch: Patch) -> None:
     patch.setattr(Leases, "_lost", lambda self: None)
 
 
-def _bug(plant: Any, why: str, seed: int, draws: Draws = doubted) -> Bug:
-    return Bug(plant, why, TWO_ACT, seed, draws)
+def _bug(plant: Any, why: str, seed: int, draws: Draws = doubted, first: int = 0) -> Bug:
+    return Bug(plant, why, TWO_ACT, seed, draws, first)
 
 
 QUORUM_BUGS = [
@@ -122,7 +122,8 @@ QUORUM_BUGS = [
     _bug(
         fences_told_once_and_lost_with_their_link,
         "the one acknowledgement that carried the fence was lost with its link",
-        585,
+        7071,
+        first=7000,
     ),
     # Greetings and acknowledgements would tell whoever forgot: it is found where those who know never meet.
     _bug(

@@ -225,6 +225,18 @@ def test_one_more_than_may_watch_is_told_so(tmp_path: Path) -> None:
     assert [eye.refused for eye in eyes] == [*[""] * 16, "16 others watch alpha already"]
 
 
+def test_nobody_keeps_a_host_busy_by_asking_anew(tmp_path: Path) -> None:
+    fleet = fleet_of(tmp_path)
+    fleet.run(2.0)
+    eye = watch(fleet, "alpha")
+    for _ in range(500):
+        eye.say(Watch())
+    assert len(eye.batches) == 1
+    fleet.run(1.0)
+    assert [batch.batch for batch in eye.batches[:2]] == [1, 1]
+    assert len(eye.batches) < 25
+
+
 def test_a_host_that_ends_says_so_and_how_its_devices_came_to_rest(tmp_path: Path) -> None:
     fleet = fleet_of(tmp_path)
     fleet.run(8.0)
