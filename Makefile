@@ -12,13 +12,17 @@ BIN := $(VENV)/bin
 demo: $(VENV)/.installed
 	$(BIN)/lfield up --deploy examples/01-first-flight/mission.dL --all --sim --until-done
 
+# The last line of a run that could not try the page of `lfield watch` as a person does.
+NO_BROWSER = command -v chromium >/dev/null && command -v chromedriver >/dev/null || \
+	echo "NOT TRIED: the page of lfield watch in a browser; sudo apt-get install chromium chromium-driver"
+
 # Lint and types run beside the tests and are shown behind them; either may fail the whole. A job in the background does
 # not hear Ctrl-C, so it is ended here.
 test: $(VENV)/.tested
 	@$(MAKE) --no-print-directory lint >$(VENV)/lint.log 2>&1 & lint=$$!; \
 	trap 'kill $$lint 2>/dev/null; exit 130' INT TERM; \
 	$(BIN)/pytest; tests=$$?; \
-	wait $$lint; checks=$$?; cat $(VENV)/lint.log; \
+	wait $$lint; checks=$$?; cat $(VENV)/lint.log; $(NO_BROWSER); \
 	test $$tests -eq 0 && test $$checks -eq 0
 
 test-more: $(VENV)/.tested
@@ -96,12 +100,13 @@ $(VENV)/.measured: $(VENV)/.tested deploy/locks/bench.txt
 
 LOCK = printf 'editables\nhatchling\n' | $(BIN)/uv pip compile --quiet --upgrade --universal --python-version 3.11 \
 	--generate-hashes --no-header --no-annotate --no-emit-index-url \
-	$(addprefix --extra ,$(2) $(3) $(4)) --output-file deploy/locks/$(1).txt pyproject.toml -
+	$(addprefix --extra ,$(2) $(3) $(4) $(5)) --output-file deploy/locks/$(1).txt pyproject.toml -
 
 # Takes the newest versions that pyproject.toml allows, for every Python and processor it names, and tries them.
 locks: $(VENV)/.tested
 	$(INSTALL) uv
-	$(call LOCK,run,all) && $(call LOCK,test,all,test) && $(call LOCK,bench,all,test,bench)
+	$(call LOCK,run,all) && $(call LOCK,watch,watch) && \
+		$(call LOCK,test,all,watch,test) && $(call LOCK,bench,all,watch,test,bench)
 	$(MAKE) test
 
 clean:

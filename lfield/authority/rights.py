@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from lfield.authority.identity import Right, in_order
 from lfield.wire.messages import Ping, Revocations
 from lfield.wire.observing import EmergencyStop, Forget, Pause, Recover, StatusRequest
+from lfield.wire.watching import Seen, Watch
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -21,6 +22,8 @@ if TYPE_CHECKING:
 #: The right that a message takes, and the one that takes it back. None: whoever is known at all may say it.
 RIGHTS: Mapping[type[Message], tuple[Right | None, Right | None]] = {
     StatusRequest: (Right.OBSERVE, None),
+    Watch: (Right.OBSERVE, None),
+    Seen: (Right.OBSERVE, None),
     Ping: (None, None),
     Revocations: (None, None),
     EmergencyStop: (Right.STOP, Right.OPERATE),

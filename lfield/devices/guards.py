@@ -13,6 +13,7 @@ from lfield.capability.directory.news import Trouble
 from lfield.clock import Clock
 from lfield.devices.calls import Answered
 from lfield.devices.fakes import Fake, on_running_fakes
+from lfield.devices.held import Tell
 from lfield.devices.keeper import Guard
 from lfield.devices.lateness import Lateness, Limit
 from lfield.driver.binding import DeviceBinding, by_bus
@@ -48,6 +49,8 @@ class Guards:
         #: How late the beats for the guards are.
         self.lateness = Lateness(Limit(silence, loop.may_be_prompt()))
         self._turned = turned
+        #: Called with what becomes of devices in their safe states, for whoever watches the host.
+        self.tell: Tell = lambda event: None
         self._guards: list[Guard] = []
         #: Why no program may release a device, '' while all may; also of those that are yet to be opened.
         self._barred = ""
@@ -80,7 +83,7 @@ class Guards:
         for bus in by_bus(placed).values():
             driver = self._drivers.by_driver[bus[0].driver]
             guard = Guard(driver, bus, self.clock, self._note, self.lateness, self._turned)
-            guard.held.barred = self._barred
+            guard.held.barred, guard.held.tell = self._barred, self.tell
             self._guards.append(guard)
             self._by_device.update(
                 {device.name: (guard, driver.manifests[device.type].device) for device in bus}

@@ -14,9 +14,13 @@ from lfield.driver.binding import DeviceBinding
 from lfield.errors import WireError
 from lfield.guard.messages import Latched, Moving, Released, Safe
 from lfield.guard.rest import UNSEEN
+from lfield.wire import events
+from lfield.wire.fields import MAX_LABEL, clip
 
 #: Seconds between two words in the log about a device on its way to rest.
 ON_THE_WAY = 2.0
+
+Tell = Callable[[events.Latched | events.Confirmed | events.Moving | events.Released], None]
 
 
 class Held:
@@ -43,8 +47,9 @@ class Held:
         self.confirmed: set[str] = set()
         #: What a latched device still does in its safe state, in words, by name; '' once it is at rest.
         self.moving: dict[str, str] = {}
-        #: Called after every change of the three.
+        #: Called after every change of the three; and with what has changed, for whoever watches the host.
         self.on_change: Callable[[], None] = lambda: None
+        self.tell: Tell = lambda event: None
 
     def state(self, device: str) -> str:
         """The safe state that a device is held in, or would be."""
@@ -59,11 +64,13 @@ class Held:
                 self._latched(message)
             case Moving(device, moving):
                 self.moving[device] = moving
+                self.tell(events.Moving(clip(device, MAX_LABEL), clip(moving)))
                 self._tell_way(device, moving)
             case Released(device):
                 for known in (self.latched, self.moving, self._states, self._asked):
                     known.pop(device, None)
                 self.confirmed.discard(device)
+                self.tell(events.Released(clip(device, MAX_LABEL)))
                 self._note(f"{device}: released")
         self.on_change()
 
@@ -73,6 +80,8 @@ class Held:
         self.latched[device] = reason = self.latched.get(device, message.reason) if confirmed else fault
         self._states[device], self.moving[device] = message.state, UNSEEN
         (self.confirmed.add if confirmed else self.confirmed.discard)(device)
+        told = events.Confirmed if confirmed else events.Latched
+        self.tell(told(clip(device, MAX_LABEL), clip(self.state(device), MAX_LABEL), clip(reason)))
         if confirmed or not self.stopping:
             into = "is in" if confirmed else "goes into"
             self._note(f"{device}: {into} its safe state '{self.state(device)}': {reason}")

@@ -16,6 +16,8 @@ from lfield.host.directory import TeamDirectory
 from lfield.host.effects import CHANGED, Call, Complain, Effect, Nearby, Reach, Say
 from lfield.host.inits import Inits
 from lfield.host.offers import Offers
+from lfield.host.sight.hops import Hops
+from lfield.host.sight.teller import Teller
 from lfield.host.team import words
 from lfield.host.team.absent import Absent
 from lfield.host.team.beginning import Beginning
@@ -73,28 +75,25 @@ class HostCore:
         pages: Iterable[Page] = (),
         times: Mapping[Key, float] | None = None,
         engines: Engines | None = None,
+        teller: Teller | None = None,
     ) -> None:
         self.mission, self.team, self.name, self.incarnation = mission, mission.team, name, incarnation
         self.here = self.team.number(name)
         self._clock, self._memory, self._reserves = clock, memory, mission.program.has_reserves
         self._effects: list[Effect] = []
+        #: What is told of all that happens here.
+        self.teller = teller = teller or Teller(clock)
         #: What the machine asks this host.
-        self.world = HostWorld(self.team, self._out, self._reach)
+        self.world = HostWorld(self.team, self._out, self._reach, teller)
+        everybody, fenced = self.team.members, mission.fenced
         self.machine = machine = Machine(
-            mission.program,
-            self.team.members,
-            self.here,
-            incarnation,
-            self.world,
-            clock,
-            dice,
-            mission.fenced,
-            engines,
+            mission.program, everybody, self.here, incarnation, self.world, clock, dice, fenced, engines
         )
         machine.attached.rules = mission.calls
         own = self._hello([])
+        self._hops = hops = Hops(teller, machine, name, self.team)
         self.coordinators = team = Coordinators(
-            mission, own, machine, clock, self._out, unreachable_after, pages, times or {}
+            mission, own, machine, clock, self._out, unreachable_after, pages, times or {}, hops
         )
         self.mobility = team.mobility
         self.directory = TeamDirectory(mission, name, incarnation, machine, nearby, clock)
@@ -108,10 +107,11 @@ class HostCore:
         self.directory.reserved = self.reserving.by
         self._inits = Inits(machine.opening, self._say)
         self._policies = Policies(mission.devices_of(name))
-        self._commands = Commands(machine, nearby, leases, self._policies, clock, self._out)
+        #: The instructions to devices that are under way.
+        self.commands = Commands(machine, nearby, leases, self._policies, clock, self._out, teller)
         offers = Offers(self.directory, mission)
         absent = Absent(nearby, self.hearsay, clock, unreachable_after)
-        self.world.join(team, leases, self._begun, self.reserving, self._commands, offers, absent)
+        self.world.join(team, leases, self._begun, self.reserving, self.commands, offers, absent)
         #: What may have something to do at a time.
         self._timed: list[Timed] = [team, self.directory, self.hearsay, self._policies, self._inits]
         self._timed += [leases] if leases.fenced else []
@@ -168,6 +168,8 @@ class HostCore:
         Returns the seconds until it is to be called again (0: at once), None for only after an event.
         """
         now = self._clock.monotonic()
+        if now >= self.teller.due:
+            self.teller.fill(now)
         self.coordinators.tick(now)
         if self.directory.due is not None and now >= self.directory.due:
             self._effects += self.directory.tick(now)
@@ -202,6 +204,7 @@ class HostCore:
         """
         for member in self.team.on(self.here):
             if member.kind == "resource":
+                self.teller.started(member.id, 0)
                 self.machine.start(member, self.mission.bindings.limits(member.id), 0)
         self._begun.restore()
         self.reserving.restore()
@@ -217,11 +220,15 @@ class HostCore:
         all others first.
         """
         self._leases.wake()
+        came = set(self.machine.agents)
         self.coordinators.wake()
+        for name in self.machine.agents.keys() - came:
+            self.teller.started(name, self.machine.agents[name].generation, kept=True)
         self._begun.woken()
         for known in self.mobility.knowledge():
             # What is barred has no place where it may be.
             if known.state in ("PREPARED", "IN DOUBT") and known.where:
+                self._hops.is_away(known)
                 self._reach(known.where)
         self._beginning.begin(first=first)
 
@@ -326,6 +333,7 @@ class HostCore:
         restarted = self.hearsay.linked(hello.host, hello.incarnation)
         if restarted or hello.host in self.hearsay.near:
             self._say(f"linked with {hello.host}{', which was restarted' if restarted else ''}")
+        self.teller.linked(hello.host, restarted=restarted)
         self._beginning.heard(hello.host, hello.coordinators)
         self._effects += self.directory.linked(hello)
         if self.coordinators.room.trouble:
@@ -337,6 +345,7 @@ class HostCore:
 
     def unlinked(self, host: str, *, quietly: bool = False) -> None:
         """A host cannot be talked to any more; `quietly`: this one had no use for the link."""
+        self.teller.unlinked(host, lost=not quietly)
         if not quietly:
             self._say(f"lost the link with {host}")
         self.mobility.unlinked(host)
@@ -347,6 +356,7 @@ class HostCore:
 
     def arrived(self, host: str, header: Transfer, block: memoryview) -> None:
         """A coordinator came: it runs before its sender gets an answer."""
+        self._hops.arrives(host, header)
         self.coordinators.arrived(host, header, block)
 
     def too_large(self, host: str, header: Transfer, size: int) -> None:
@@ -375,7 +385,7 @@ class HostCore:
 
     def answered(self, asked: Call, value: DeviceValue | DeviceError) -> None:
         """What became of a call of a device."""
-        self._commands.answered(asked, value)
+        self.commands.answered(asked, value)
 
     def _say(self, text: str) -> None:
         self._effects.append(Say(text))

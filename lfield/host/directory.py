@@ -118,6 +118,11 @@ class TeamDirectory:
     def _report(self, news: News) -> Report:
         return self._reports.write(news, self._clock.monotonic())
 
+    def refusals(self) -> dict[str, str]:
+        """Why each agent cannot be called, '' when it can, as it was at the last look."""
+        self.directory.asker = ""
+        return {candidate.agent: candidate.refusal for candidate in self.directory.everybody()}
+
     def told(self) -> list[Told]:
         """For whoever asks from outside: how every agent is now."""
         self.look()

@@ -44,10 +44,14 @@ class Write(Struct, frozen=True):
 
 
 class Say(Struct, frozen=True):
-    """A line for the log; what a program says may have several `lines`."""
+    """A line for the log; what a program says may have several `lines`.
+
+    `told`: its event is told already, as that of a program is.
+    """
 
     text: str
     lines: bool = False
+    told: bool = False
 
 
 class Complain(Struct, frozen=True):
@@ -82,11 +86,15 @@ class CancelCall(Struct, frozen=True):
 
 
 class MakeSafe(Struct, frozen=True):
-    """Bring a device of this host into a safe state of its manifest, and hold it there."""
+    """Bring a device of this host into a safe state of its manifest, and hold it there.
+
+    `users` are the coordinators that have left it without anybody who looks after it.
+    """
 
     device: str
     state: str
     reason: str
+    users: tuple[str, ...] = ()
 
 
 class Died(Struct, frozen=True):

@@ -23,13 +23,16 @@ from typing import Any
 from lfield.authority.admission import Admission
 from lfield.clock import Clock, SystemClock
 from lfield.devices.guards import Guards
+from lfield.devices.keeper import STOPPING
 from lfield.devices.measuring import insist
-from lfield.errors import AddressError, DeviceError, HostFailure, OutputFileError
+from lfield.errors import AddressError, DeviceError, HostFailure
 from lfield.host.core import HostCore
+from lfield.host.dumping import dump_agent
 from lfield.host.effects import Call, CancelCall, Complain, Died, Effect, Keep, MakeSafe, Reach, Say, Write
 from lfield.host.engines import engines_for
 from lfield.host.logbook import Logbook
 from lfield.host.scribe import Scribe
+from lfield.host.sight.teller import Teller
 from lfield.host.status import status_of
 from lfield.host.surroundings import Surroundings
 from lfield.host.visitors import Visitors
@@ -42,9 +45,6 @@ from lfield.mobility.fates import Fate
 from lfield.mobility.neighbours import Neighbourhood
 from lfield.net.peers import Peers
 from lfield.net.transport import Link, Transport
-from lfield.text.private import write_private
-from lfield.vm.agent import Agent
-from lfield.vm.inspect import dump
 from lfield.vm.machine import Machine
 from lfield.wire.coordinators import Transfer
 from lfield.wire.messages import Control, Hello
@@ -92,6 +92,7 @@ class Host:
         self.logbook = logbook
         self.clock = options.clock
         self.started = self.clock.monotonic()
+        self.teller = Teller(self.clock)
         here = self.team.number(name)
         team, clock, dice = self.team, self.clock, options.dice
         neighbours = Neighbourhood(team.hosts, here, everybody=mission.registry is not None)
@@ -101,6 +102,7 @@ class Host:
         self.guards = Guards(
             mission.drivers, self.clock, self.note, silence=mission.bindings.silence, turned=self.turn
         )
+        self.guards.tell = self.teller.device
         self.scribe = Scribe(
             options.journal,
             lambda number: self._enter(partial(self.core.kept, number)),
@@ -120,6 +122,7 @@ class Host:
             self.scribe.pages,
             self.scribe.times,
             engines_for(options.engine, self.note),
+            self.teller,
         )
         self._visitors = Visitors(
             self.core, self.guards, self.clock, self._enter, self.status, self.note, self.scribe.all_kept
@@ -196,11 +199,14 @@ class Host:
         """
         if self._stopped:
             return {}
+        if self.failure is None:
+            self.teller.ending("", STOPPING)
         self._enter(self.core.halt)
         unsafe = await self.guards.close()
         for name, why in unsafe.items():
             self.note(f"{name}: NOT SAFE: {why}")
         await self._visitors.be_seen()
+        self._visitors.watchers.last_words()
         await self.scribe.close()
         self._stopped = True
         if self._timer:
@@ -263,9 +269,10 @@ class Host:
         self.failed.set()
         # The bug may be in the log itself: it must not keep the host from ending.
         with suppress(Exception):
+            self.teller.ending(str(self.failure), STOPPING)
             self.note(str(self.failure))
             if os.environ.get("LFIELD_TRACEBACK"):
-                self.logbook.note("".join(traceback.format_exception(error)), lines=True)
+                self.note("".join(traceback.format_exception(error)), lines=True)
 
     def unhandled(self, loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
         """The loop's exception handler: what was raised beside the core, in a task or a socket's callback."""
@@ -285,7 +292,7 @@ class Host:
             case Write():
                 self.logbook.write(effect.text)
             case Say():
-                self.logbook.note(effect.text, lines=effect.lines)
+                (self.logbook.note if effect.told else self.note)(effect.text, lines=effect.lines)
             case Complain():
                 self.peers.complain(effect.text)
             case Call():
@@ -295,12 +302,13 @@ class Host:
             case Keep():
                 self.scribe.keep(effect)
             case MakeSafe():
+                self.teller.without_policy(effect.reason, effect.users)
                 self.guards.make_safe(effect.device, effect.reason, effect.state)
             case Reach():
                 self.peers.reach(effect.host)
             case Died():
                 if self.options.dump:
-                    self._dump(effect.agent, self.options.dump)
+                    self.note(dump_agent(self.mission, self.name, effect.agent, self.options.dump))
             case _:
                 self.changed.set()
 
@@ -321,16 +329,6 @@ class Host:
             )
         except DeviceError as error:
             answered(error)
-
-    def _dump(self, agent: Agent, folder: Path) -> None:
-        team, program, limit = self.team, self.mission.program, agent.limits.heap
-        data = dump.encode(self.name, agent.report, limit, team.members, team.hosts, program, agent.block)
-        path = folder / f"{agent.id}.block"
-        try:
-            write_private(path, data)
-            self.note(f"dumped {agent.id}: lfield inspect {path}")
-        except OutputFileError as error:
-            self.note(f"cannot dump {agent.id} to {path}: {error}")
 
     # --- Owner of the links ---------------------------------------------------------------------------
 
@@ -388,9 +386,10 @@ class Host:
         """This host is about to go: it tells all others of the endings it knows, and what it found."""
         self._enter(partial(self.core.pass_on, found))
 
-    def note(self, text: str) -> None:
-        """A line for the log."""
-        self.logbook.note(text)
+    def note(self, text: str, *, lines: bool = False) -> None:
+        """A line for the log; what a program says may have several `lines`."""
+        self.teller.logged(text)
+        self.logbook.note(text, lines=lines)
 
     # --- what others want to know ---------------------------------------------------------------------
 

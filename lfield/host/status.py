@@ -39,7 +39,7 @@ from lfield.wire.observing import (
 )
 
 #: The states of threads, the liveliest first.
-_LIVELIEST = (READY, WAITING, CALLING, BLOCKED, SLEEPING, PARKED, DEAD)
+LIVELIEST = (READY, WAITING, CALLING, BLOCKED, SLEEPING, PARKED, DEAD)
 
 #: Of so many calls that were begun a host tells.
 MOST_BEGUN = 1024
@@ -85,6 +85,7 @@ def status_of(
             for held in core.reserving.held
         ],
         bundle=_bundle(core.mission.release),
+        stopped=clip(core.coordinators.stopped),
     )
 
 
@@ -113,7 +114,7 @@ def _agent(agent: Agent, core: HostCore) -> AgentStatus:
         id=agent.id,
         type=clip(agent.member.type),
         kind="coordinator" if agent.member.kind == "coordinator" else "resource",
-        state=agent.ended or core.waits(agent) or _busiest(states),
+        state=state_of(agent, core, states),
         hops=agent.hops,
         served=agent.served,
         heap=8 * block.top,
@@ -122,9 +123,10 @@ def _agent(agent: Agent, core: HostCore) -> AgentStatus:
     )
 
 
-def _busiest(states: list[int]) -> str:
-    """One word for all threads of an agent: what the liveliest does."""
-    return STATE_NAMES[min(states, key=_LIVELIEST.index)] if states else "idle"
+def state_of(agent: Agent, core: HostCore, states: list[int]) -> str:
+    """One word for what an agent does whose threads are in these states: what the liveliest does."""
+    busiest = STATE_NAMES[min(states, key=LIVELIEST.index)] if states else "idle"
+    return agent.ended or core.waits(agent) or busiest
 
 
 def _devices(guards: Guards, now: float) -> list[DeviceStatus]:
@@ -132,7 +134,7 @@ def _devices(guards: Guards, now: float) -> list[DeviceStatus]:
     return [
         DeviceStatus(
             clip(name),
-            _telemetry(values),
+            telemetry_of(values),
             _since(now - heard[name]) if name in heard else None,
             clip(latched.get(name, "")),
             clip(moving.get(name, "")),
@@ -141,7 +143,8 @@ def _devices(guards: Guards, now: float) -> list[DeviceStatus]:
     ]
 
 
-def _telemetry(values: Mapping[str, DeviceValue]) -> dict[str, Telemetry]:
+def telemetry_of(values: Mapping[str, DeviceValue]) -> dict[str, Telemetry]:
+    """The values of a device as a message may carry them."""
     return {clip(name, MAX_LABEL): _shown(value) for name, value in values.items() if value is not None}
 
 

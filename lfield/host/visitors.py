@@ -10,6 +10,7 @@ from lfield.clock import Clock
 from lfield.devices.guards import Guards
 from lfield.errors import AddressError
 from lfield.host.core import HostCore
+from lfield.host.watching.watchers import Watchers
 from lfield.loop import spawn
 from lfield.net.transport import Link
 from lfield.text.visible import in_one_line
@@ -25,6 +26,7 @@ from lfield.wire.observing import (
     Status,
     StatusRequest,
 )
+from lfield.wire.watching import Seen, Watch
 
 #: Why devices are held while the mission is paused.
 PAUSED = "the mission is paused"
@@ -34,6 +36,8 @@ KEPT_WITHIN = 2.0
 STATUS_EVERY = 0.05
 #: Whoever has asked within so many seconds is looking at the devices, and gets one more answer in so many.
 LOOKING, LAST_LOOK = 3.0, 1.5
+#: Who has stopped or paused what is still so when a host starts.
+EARLIER = "an earlier life of this host"
 
 
 class Visitors:
@@ -55,6 +59,8 @@ class Visitors:
     ) -> None:
         self._core, self._guards, self._clock = core, guards, clock
         self._enter, self._status, self._note, self._all_kept = enter, status, note, all_kept
+        self._teller = core.teller
+        self.watchers = Watchers(core, guards, clock, status)
         #: When somebody last asked how the devices are.
         self._looked = -LOOKING
         #: Who waits for the status, and when it was last told.
@@ -66,6 +72,10 @@ class Visitors:
         match message:
             case StatusRequest():
                 self._show(link)
+            case Watch():
+                self.watchers.watch(message, link)
+            case Seen():
+                self.watchers.seen(message, link)
             case EmergencyStop():
                 spawn(self._emergency_stop(message, link))
             case Forget():
@@ -96,12 +106,14 @@ class Visitors:
     def stay_stopped(self) -> None:
         """What was stopped in an earlier life of this host, and not lifted, opens its devices barred."""
         if reason := self._core.coordinators.stopped:
+            self._teller.stopped(EARLIER, reason, lifted=False)
             self._guards.bar(reason)
             self._note(f"EMERGENCY STOP still holds: {reason}; 'lfield estop --lift' ends it")
 
     async def stay_paused(self) -> None:
         """What was paused in an earlier life of this host keeps its devices in their safe states."""
         if self._core.coordinators.paused:
+            self._teller.paused(EARLIER, PAUSED, lifted=False)
             await self._guards.rest(PAUSED)
 
     async def be_seen(self) -> None:
@@ -110,13 +122,14 @@ class Visitors:
             await asyncio.sleep(LAST_LOOK)
 
     async def _emergency_stop(self, message: EmergencyStop, link: Link) -> None:
+        # Programs hear it too, and what they print of it has no line of somebody else's.
+        reason = clip(in_one_line(message.reason))
+        self._teller.stopped(str(link.who), reason, lifted=message.lift)
         if message.lift:
             self._note(f"the emergency stop is lifted by {link.who}; programs may release their devices")
             devices = self._guards.lift_stop()
             self._enter(lambda: self._core.stop(""))
         else:
-            # Programs hear it too, and what they print of it has no line of somebody else's.
-            reason = clip(in_one_line(message.reason))
             self._note(f"EMERGENCY STOP by {link.who}: {reason}")
             # The devices first: they wait neither for the core nor for the disk.
             self._guards.bar(reason)
@@ -134,6 +147,7 @@ class Visitors:
         return told
 
     async def _pause(self, message: Pause, link: Link) -> None:
+        self._teller.paused(str(link.who), PAUSED, lifted=message.lift)
         if message.lift:
             # Whoever goes on must find them in use.
             devices = await self._guards.let_go(PAUSED) if self._core.coordinators.paused else {}

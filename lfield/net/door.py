@@ -84,6 +84,11 @@ def _number_of_group() -> int | None:
     return None
 
 
+def oneself(owner: int) -> Identity:
+    """This process, as the door of a host takes it that the user `owner` runs."""
+    return local(os.geteuid(), {os.getegid(), *os.getgroups()}, owner, _number_of_group())
+
+
 def _name_of(user: int) -> str:
     try:
         return pwd.getpwuid(user).pw_name

@@ -43,6 +43,7 @@ from lfield.wire.observing import (
 )
 from lfield.wire.quorum import QuorumMessage
 from lfield.wire.reservations import ReservationMessage
+from lfield.wire.watching import WatchMessage
 
 #: The version of everything in this package. Hosts of different versions do not talk.
 PROTOCOL = 7
@@ -216,6 +217,7 @@ Control = (
     | Revocations
     | QuorumMessage
     | ReservationMessage
+    | WatchMessage
 )
 
 #: Every message without a block.

@@ -150,7 +150,7 @@ class Status(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, t
     keeps nothing. `paused`: no agent runs here until the mission is resumed. For so many seconds yet its
     `lease` lets coordinators act, None where they need none. `begun` are the calls that were begun here and
     are still to be fetched, `reserved` the resources here that coordinators have reserved. `bundle` is None
-    for a mission that was read from files.
+    for a mission that was read from files. `stopped` is why an emergency stop bars its devices, '' for none.
     """
 
     host: Name
@@ -171,6 +171,7 @@ class Status(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, t
     begun: Annotated[list[BegunStatus], Meta(max_length=4096)] = []
     reserved: Annotated[list[ReservedStatus], Meta(max_length=4096)] = []
     bundle: BundleStatus | None = None
+    stopped: Text = ""
 
 
 class EmergencyStop(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=10):

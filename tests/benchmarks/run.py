@@ -38,11 +38,13 @@ FIGURES = {
     "rankings": "capability.rankings",
     "directory": "capability.directory",
     "traffic": "team.traffic",
+    "events": "team.events",
     "strangers": "team.strangers",
     "leases": "team.leases",
     "recovery": "team.recovery",
     "formation": "team.formation",
     "missions": "team.tested_missions",
+    "watch": "team.watched",
 }
 
 #: What the picture of the README shows, in this order.

@@ -16,6 +16,7 @@ RUNNING = "about a mission that runs: "
 INSPECT = RUNNING + "tests/cli/team/test_ps_and_inspect.py"
 QUERY = RUNNING + "tests/cli/team/test_query.py"
 TEAM = RUNNING + "tests/cli/team"
+WATCH = RUNNING + "tests/cli/team/test_watch.py"
 EXAMPLES = LONG + "tests/cli/run/test_thesis_and_examples.py runs it"
 SURVIVES = LONG + "tests/cli/run/test_mission_survives.py runs it"
 DRIVER = "a driver of its own: tests/cli/robot/test_driver_new.py makes and tries one"
@@ -41,7 +42,7 @@ EXCEPTIONS: dict[str, dict[str, str]] = {
         "make chaos SECONDS=120": SUITE,
     },
     "README.md": {
-        "sudo apt-get install python3 python3-venv make git": INSTALLS,
+        "sudo apt-get install python3 python3-venv make git chromium chromium-driver": INSTALLS,
         "make demo": INSTALLS,
         "make test": SUITE,
         "make bench": SUITE,
@@ -50,12 +51,17 @@ EXCEPTIONS: dict[str, dict[str, str]] = {
         "lfield up --deploy mission.dL --all": HARDWARE,
         "lfield up --deploy examples/01-first-flight/mission.dL --all --sim --dump /tmp/dumps": EXAMPLES,
         "lfield ps": INSPECT,
+        "lfield watch --deploy mission.dL": WATCH,
         "lfield up --deploy examples/03-mixed-team/mission.dL --all --sim --until-done": EXAMPLES,
         "lfield doctor": "says what is wrong with this computer: tests/cli/robot has computers of its own",
         "lfield sim mavlink --listen udp:127.0.0.1:14550 --kind copter --system 1": KIT,
         'lfield kit mavlink --endpoint udp:127.0.0.1:14550 --set "waivers=[device_watchdog]"': KIT,
         'lfield setup mavlink --endpoint udp:127.0.0.1:14550 --set "waivers=[device_watchdog]"': SETUP,
         "lfield sim fault mavlink battery=0.2": KIT,
+    },
+    "lfield/docs/watch.md": {
+        "lfield watch --deploy mission.dL": WATCH,
+        "ssh -L 8470:127.0.0.1:8470 operator": SERVICE,
     },
     "lfield/docs/security.md": {
         "ssh alpha mkdir -p .config/lfield/keys": SERVICE,

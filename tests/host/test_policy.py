@@ -91,7 +91,7 @@ def test_one_that_ended_here_leaves_its_devices_the_time_of_each():
     rig.wait(100.0)
     (first, fc), (second, winch) = rig.gone
     reason = "no coordinator that used it (pilot, done) has been heard of for 20 s"
-    assert fc == MakeSafe("a.fc", "land", reason)
+    assert fc == MakeSafe("a.fc", "land", reason, ("pilot",))
     assert (winch.device, winch.state) == ("a.winch", "brake")
     assert (first, second) == (pytest.approx(170.0, abs=1.01), pytest.approx(190.0, abs=1.01))
     assert rig.core.due is None

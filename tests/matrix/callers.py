@@ -34,6 +34,7 @@ from lfield.wire.messages import AgentReport, Control, Hello, Message, Ping, Rep
 from lfield.wire.observing import EmergencyStop, EmergencyStopped, Forget, Pause, Recover, StatusRequest
 from lfield.wire.quorum import Propose
 from lfield.wire.reservations import Renew
+from lfield.wire.watching import Watch
 
 #: Seconds since 1970 UTC: the certificates of `Team` are from 2026 to 2099.
 NOW = 1_795_464_000.0
@@ -51,6 +52,7 @@ SAID_BY_HOSTS: dict[str, Message] = {
 }
 SAID_BY_COMMANDS: dict[str, Message] = {
     "ps": StatusRequest(),
+    "watch": Watch(),
     "estop": EmergencyStop("why"),
     "lift": EmergencyStop("", lift=True),
     "pause": Pause(),

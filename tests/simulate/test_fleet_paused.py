@@ -30,6 +30,8 @@ coordinator Walker {
 class Desk:
     """Who says the word, and does not listen."""
 
+    who = "somebody"
+
     def send(self, message: object) -> None:
         """The answer."""
 

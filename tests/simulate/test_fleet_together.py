@@ -270,5 +270,7 @@ def test_what_flies_for_a_boss_that_is_elsewhere_goes_safe_when_the_lease_of_its
 class Desk:
     """Who says the word, and does not listen."""
 
+    who = "somebody"
+
     def send(self, message: object) -> None:
         """The answer."""

@@ -92,7 +92,7 @@ class _Team:
         if sys.stderr.isatty():
             from lfield.cli.views.live import LiveView
 
-            self.view = LiveView(self.doors.addresses)
+            self.view = LiveView(self.mission, self.doors.addresses)
         readers = [task for host in self.addresses for task in await self.start(host)]
         watcher = asyncio.create_task(self.watch())
         if self.view:

@@ -8,32 +8,47 @@ from collections.abc import Mapping
 from rich.console import Console
 from rich.live import Live
 
-from lfield.cli.views.picture import picture
-from lfield.operator.ask import STATUS, ask_all, observer
+from lfield.cli.views.seen_view import table
+from lfield.clock import SystemClock
+from lfield.mission.mission import Mission
+from lfield.operator.ask import observer
+from lfield.operator.sight.following.follower import Follower
+from lfield.operator.sight.picture.roll import roll_of
+from lfield.operator.sight.watched import Watched
 
 INTERVAL = 0.5
 
 
 class LiveView:
-    """Asks all hosts for their status and shows it until stopped. Needs a running loop."""
+    """Follows the hosts of a mission by their doors at `addresses`, until stopped. Needs a running loop."""
 
-    def __init__(self, addresses: Mapping[str, str]) -> None:
+    def __init__(self, mission: Mission, addresses: Mapping[str, str]) -> None:
         self._addresses = addresses
         self._live = Live(
             console=Console(stderr=True, markup=False, emoji=False), auto_refresh=False, transient=True
         )
-        self._task: asyncio.Task[None] | None = None
+        self._sight = Watched(roll_of(mission.name, mission.team, mission), SystemClock())
+        self._tasks: list[asyncio.Task[None]] = []
 
     def start(self) -> None:
         """Begin to draw. From now on, lines for this terminal go through `print`."""
         self._live.start()
-        self._task = asyncio.create_task(self._draw())
+        follower = Follower(
+            observer(connect_timeout=INTERVAL),
+            list(self._addresses),
+            self._reach,
+            self._sight,
+            SystemClock(),
+            telemetry=1.0 / INTERVAL,
+        )
+        self._tasks = [asyncio.create_task(follower.run()), asyncio.create_task(self._draw())]
+
+    async def _reach(self, host: str) -> str:
+        return self._addresses[host]
 
     async def _draw(self) -> None:
-        transport = observer(connect_timeout=INTERVAL)
         while True:
-            answers = await ask_all(transport, self._addresses, STATUS)
-            self._live.update(picture(answers), refresh=True)
+            self._live.update(table(self._sight.seen()), refresh=True)
             await asyncio.sleep(INTERVAL)
 
     def print(self, line: str) -> None:
@@ -42,7 +57,7 @@ class LiveView:
 
     async def stop(self) -> None:
         """Take the picture away."""
-        if self._task:
-            self._task.cancel()
-            await asyncio.gather(self._task, return_exceptions=True)
+        for task in self._tasks:
+            task.cancel()
+        await asyncio.gather(*self._tasks, return_exceptions=True)
         self._live.stop()

@@ -202,6 +202,7 @@ def _status(status: Status) -> dict[str, Any]:
         "late": status.late,
         "silence": status.silence,
         "paused": status.paused,
+        "stopped": status.stopped,
         "lease": status.lease,
         "journal": _journal_data(status.journal),
         "begun": [asdict(begun) for begun in status.begun],

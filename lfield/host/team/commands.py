@@ -12,6 +12,8 @@ from lfield.bytecode.program import DeviceCall
 from lfield.clock import Clock
 from lfield.errors import DeviceError
 from lfield.host.effects import Call, CancelCall, Effect, Nearby
+from lfield.host.sight.portals import served_call
+from lfield.host.sight.teller import Teller
 from lfield.host.team.leases import Leases
 from lfield.host.team.policy import Policies
 from lfield.manifest import DeviceValue
@@ -32,9 +34,10 @@ class Commands:
         policies: Policies,
         clock: Clock,
         effects: Callable[[Effect], None],
+        teller: Teller,
     ) -> None:
         self._machine, self._nearby, self._leases, self._policies = machine, nearby, leases, policies
-        self._clock, self._out = clock, effects
+        self._clock, self._out, self._teller = clock, effects, teller
         #: What each thread waits for.
         self._under_way: dict[tuple[Agent, int], DeviceCall] = {}
 
@@ -47,6 +50,9 @@ class Commands:
             return value
         until = self._until(agent, thread, call) if call.effect != "query" else math.inf
         self._under_way[agent, thread] = call
+        if self._teller.detailed:
+            device, portal = f"{agent.id}.{call.field}", served_call(agent, thread)
+            self._teller.asked(agent.id, thread, portal, device, call.instruction)
         self._out(Call(agent, thread, call, values, until))
         return PENDING
 
@@ -73,10 +79,17 @@ class Commands:
     def answered(self, asked: Call, value: DeviceValue | DeviceError) -> None:
         """What became of a call of a device."""
         self._under_way.pop((asked.agent, asked.thread), None)
+        error = str(value) if isinstance(value, DeviceError) else ""
+        self._teller.answered(asked.agent.id, asked.thread, error)
         if isinstance(value, DeviceError):
             self._machine.refuse(asked.agent, asked.thread, value.kind, str(value), value.device)
         else:
             self._machine.answer(asked.agent, asked.thread, value, asked.call.result, asked.call.field)
+
+    def waits(self, agent: Agent, thread: int) -> str:
+        """The instruction that a thread of an agent waits for, AGENT.FIELD.INSTRUCTION; '' for none."""
+        call = self._under_way.get((agent, thread))
+        return f"{agent.id}.{call.field}.{call.instruction}" if call is not None else ""
 
     def reading(self, agent: Agent, call: DeviceCall) -> Reading | None:
         """See `World.reading`."""

@@ -12,8 +12,9 @@ from functools import partial
 from lfield.clock import Clock
 from lfield.errors import BlockError
 from lfield.host.effects import CHANGED, Effect, Keep, Say
+from lfield.host.sight.hops import Hops
 from lfield.host.team.absent import Absent
-from lfield.host.team.keeping import Keeping, Recovery, explanation
+from lfield.host.team.keeping import Keeping, Recovery, asleep, explanation
 from lfield.journal.pages import BundlePage, Key, Page, Run, Starts
 from lfield.mission.mission import Mission
 from lfield.mobility import effects as mobile
@@ -46,16 +47,14 @@ class Coordinators:
         unreachable_after: float,
         pages: Iterable[Page],
         times: Mapping[Key, float],
+        hops: Hops,
     ) -> None:
-        self._mission, self._own, self._machine, self._clock = mission, own, machine, clock
-        self._out, self._times = effects, times
+        self._mission, self._own, self._machine, self._clock, self._hops = mission, own, machine, clock, hops
+        self._out, self._since = effects, partial(asleep, times, clock)
         self._members = {member.id: member for member in mission.team.coordinators}
+        hosts, agents = mission.team.hosts, list(self._members)
         self.mobility = Mobility(
-            own,
-            peers=mission.team.hosts,
-            agents=list(self._members),
-            inject=self._inject,
-            unreachable_after=unreachable_after,
+            own, peers=hosts, agents=agents, inject=self._inject, unreachable_after=unreachable_after
         )
         self.recovery = Recovery(pages, own.mission, mission.release.digest)
         self.keeping = Keeping([] if self.recovery.explained else [explanation(mission, own.mission)])
@@ -305,7 +304,7 @@ class Coordinators:
         member = self._members[copy.agent]
         try:
             limits = self._mission.bindings.limits(member.id)
-            agent = self._machine.restore(member, memoryview(copy.block), limits, self._asleep(copy))
+            agent = self._machine.restore(member, memoryview(copy.block), limits, self._since(copy))
         except BlockError as error:
             self.say(f"{copy.agent} cannot go on: what was kept of it cannot be read: {error}")
             return None
@@ -324,11 +323,6 @@ class Coordinators:
             self._resume(agent, RESTARTED, reason, recovered=recovered)
         return seal
 
-    def _asleep(self, copy: Copy) -> float:
-        """For how many seconds a coordinator lay on the disk, as far as the wall clock tells; else 0."""
-        kept = self._times.get(Key("copy", copy.agent, copy.generation))
-        return 0.0 if kept is None else max(0.0, self._clock.time() - kept)
-
     def _start(self, agent: str, generation: int) -> None:
         self._machine.start(self._members[agent], self._mission.bindings.limits(agent), generation)
 
@@ -342,8 +336,10 @@ class Coordinators:
             # Those of every hop come first.
             case mobile.SendTransfer():
                 self._sent_to[effect.header.agent] = effect.host
+                self._hops.left(effect.host, effect.header)
                 self._out(effect)
             case mobile.Go():
+                self._hops.goes(effect.agent, effect.generation)
                 self._saving.discard(effect.agent)
                 if agent := self._held(effect.agent, effect.generation):
                     agent.kept = True
@@ -354,27 +350,31 @@ class Coordinators:
                 else:
                     self._out(effect)
             case mobile.Departed():
+                self._hops.departed(effect)
                 if agent := self._held(effect.agent, effect.generation):
                     self._machine.release(agent)
             case mobile.Began():
+                self._hops.tell(effect)
                 self._start(effect.agent, effect.generation)
             case mobile.Resume():
                 if agent := self._held(effect.agent, effect.generation):
                     agent.block.w[layout.W_SEQUENCE] = effect.sequence
                     self._resume(agent, effect.kind, effect.reason, recovered=effect.recovered)
             case mobile.InDoubt():
+                self._hops.tell(effect)
                 self.say(f"{effect.agent} is in doubt: {effect.reason}")
                 self._out(CHANGED)
             case mobile.Supersede():
                 self.say(f"{effect.agent} stopped: {effect.reason}")
-                self._drop(effect.agent, effect.generation)
+                self._drop(effect)
             case mobile.Finished():
-                self._drop(effect.agent, effect.generation)
+                self._drop(effect)
             case mobile.Note():
                 self.say(effect.reason)
 
     def _resume(self, agent: Agent, kind: str, reason: str, *, recovered: bool = False) -> None:
         """Let a frozen coordinator go on with an exception, which names the resource that it has called."""
+        self._hops.stays(agent, kind, reason, recovered=recovered)
         called = self._machine.calling(agent)
         if called and kind == RESTARTED:
             # Who has forgotten what it was about needs the portal too; there is none where it reserves.
@@ -386,10 +386,11 @@ class Coordinators:
         agent = self._machine.agents.get(identity)
         return agent if agent and agent.frozen and agent.generation == generation else None
 
-    def _drop(self, identity: str, generation: int) -> None:
-        self._saving.discard(identity)
-        agent = self._machine.agents.get(identity)
-        if agent and agent.generation == generation:
+    def _drop(self, effect: mobile.Supersede | mobile.Finished) -> None:
+        self._hops.tell(effect)
+        self._saving.discard(effect.agent)
+        agent = self._machine.agents.get(effect.agent)
+        if agent and agent.generation == effect.generation:
             agent.ended = agent.ended or "dropped"
             self._machine.release(agent)
         self._out(CHANGED)

@@ -7,9 +7,10 @@ coordinators do not wait. Pages that nothing depends on go along with the next o
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Mapping
 
 from lfield.bytecode.encoding import encode
+from lfield.clock import Clock
 from lfield.journal.pages import (
     BegunPage,
     BundlePage,
@@ -24,6 +25,7 @@ from lfield.journal.pages import (
     key_of,
 )
 from lfield.mission.mission import Mission
+from lfield.mobility.copies import Copy
 from lfield.mobility.effects import (
     Began,
     Departed,
@@ -217,6 +219,15 @@ def _outdated(copies: Iterable[CopyPage]) -> list[CopyPage]:
         for pages in found.values()
         for page in sorted(pages, key=lambda page: page.generation)[:-ENDINGS]
     ]
+
+
+def asleep(times: Mapping[Key, float], clock: Clock, copy: Copy) -> float:
+    """For how many seconds a coordinator lay on the disk, as far as the wall clock tells; else 0.
+
+    `times` says in Unix time when each page was kept.
+    """
+    kept = times.get(Key("copy", copy.agent, copy.generation))
+    return 0.0 if kept is None else max(0.0, clock.time() - kept)
 
 
 def _generation(effect: Effect) -> int | None:

@@ -157,8 +157,9 @@ class Leases:
             abandon(self._machine, name, f"{reason}; {PERHAPS}")
         for device, users in used.items():
             if users:
-                names = ", ".join(sorted({caller.id for caller in users}))
-                self._out(MakeSafe(device, self._safe[device], f"{reason}; it was used for {names}"))
+                names = tuple(sorted({caller.id for caller in users}))
+                why = f"{reason}; it was used for {', '.join(names)}"
+                self._out(MakeSafe(device, self._safe[device], why, names))
         self._used.clear()
 
     def _callers(self) -> list[Caller]:
@@ -268,7 +269,7 @@ class Leases:
             if users & barred:
                 users -= barred
                 why = f"{name}, which has used it, is barred: {reason}"
-                self._out(MakeSafe(device, self._safe[device], why))
+                self._out(MakeSafe(device, self._safe[device], why, (name,)))
 
     # --- Copies of the quorum -------------------------------------------------------------------------
 

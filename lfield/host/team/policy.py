@@ -134,7 +134,7 @@ class Policies:
         for name in users - set().union(*self._users.values()):
             del self._coordinators[name]
         reason = f"no coordinator that used it ({told}) has been heard of for {without.after:g} s"
-        return MakeSafe(device, without.do, reason)
+        return MakeSafe(device, without.do, reason, tuple(sorted(users)))
 
     def _in_words(self, name: str) -> str:
         newest = self._coordinators[name].newest

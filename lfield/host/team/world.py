@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 from lfield.bytecode.program import DeviceCall
 from lfield.host.effects import CHANGED, Died, Effect, Say, Write
 from lfield.host.offers import Offers
+from lfield.host.sight.teller import Teller
 from lfield.host.team.absent import Absent
 from lfield.host.team.begun import BegunPages
 from lfield.host.team.commands import Commands
@@ -20,6 +21,7 @@ from lfield.vm.begun import Beginning, Begun
 from lfield.vm.contract import Reading
 from lfield.vm.offers import Found
 from lfield.vm.world import Pending
+from lfield.wire.coordinators import Outcome
 
 
 class HostWorld:
@@ -28,8 +30,10 @@ class HostWorld:
     The machine is made with it, and the parts of the host with the machine: they `join` last.
     """
 
-    def __init__(self, team: Team, effects: Callable[[Effect], None], reach: Callable[[str], None]) -> None:
-        self._team, self._out, self._reach = team, effects, reach
+    def __init__(
+        self, team: Team, effects: Callable[[Effect], None], reach: Callable[[str], None], teller: Teller
+    ) -> None:
+        self._team, self._out, self._reach, self._teller = team, effects, reach, teller
         self._coordinators: Coordinators
         self._leases: Leases
         self._begun: BegunPages
@@ -54,11 +58,13 @@ class HostWorld:
 
     def write(self, agent: Agent, text: str) -> None:
         """Program output."""
+        self._teller.written(agent.id, text)
         self._out(Write(text))
 
     def log(self, agent: Agent, text: str) -> None:
         """A line of `print`."""
-        self._out(Say(f"{agent.id}: {text}", lines=True))
+        self._teller.printed(agent.id, text)
+        self._out(Say(f"{agent.id}: {text}", lines=True, told=True))
 
     def may_begin(self, agent: Agent, acts: bool) -> bool:
         """Whether a portal of this host may begin now.
@@ -137,6 +143,8 @@ class HostWorld:
 
     def ended(self, agent: Agent) -> None:
         """A coordinator is done, or an agent has died."""
+        how: Outcome = "died" if agent.ended == "died" else "done"
+        self._teller.finished(agent.id, agent.generation, how, agent.report)
         if agent.ended == "died":
             self._report_death(agent)
         if agent.member.kind == "coordinator":

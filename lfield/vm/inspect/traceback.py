@@ -10,7 +10,15 @@ from typing import TypeVar
 from lfield.bytecode.opcodes import BY_NAME
 from lfield.bytecode.program import FINALLY, MESSAGE, TRACE, Program
 from lfield.vm.memory.block import Block
-from lfield.vm.memory.layout import FRAME_CALLER, FRAME_RETURN, THREAD_FRAME, THREAD_PC
+from lfield.vm.memory.layout import (
+    FRAME_CALLER,
+    FRAME_RETURN,
+    PARKED,
+    SLEEPING,
+    THREAD_FRAME,
+    THREAD_PC,
+    THREAD_STATE,
+)
 
 #: Of a deep stack so many frames are shown.
 INNERMOST, OUTERMOST = 10, 6
@@ -34,6 +42,16 @@ class Place:
 def stack(block: Block, program: Program, thread: int) -> list[Place]:
     """The frames of the thread at `thread`, innermost first."""
     return list(_frames(block, program, block.w[thread + THREAD_FRAME], block.w[thread + THREAD_PC]))
+
+
+def innermost(block: Block, program: Program, thread: int) -> Place | None:
+    """The innermost frame of the thread at `thread`, and what it does there; None for one that has none.
+
+    Who sleeps or yields stands behind that instruction already.
+    """
+    w = block.w
+    pc = w[thread + THREAD_PC] - (w[thread + THREAD_STATE] in (SLEEPING, PARKED))
+    return next(_frames(block, program, w[thread + THREAD_FRAME], pc), None)
 
 
 def _frames(block: Block, program: Program, frame: int, pc: int) -> Iterator[Place]:

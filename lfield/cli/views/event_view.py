@@ -1,0 +1,168 @@
+"""Events as a person, a program or a spreadsheet reads them, each as soon as it is known: a line each."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import time
+from collections.abc import Iterator
+from typing import Any
+
+import msgspec
+
+from lfield.operator.sight.listening import Notice
+from lfield.operator.sight.picture.loglines import Pieces
+from lfield.operator.sight.timeline.timeline import Dated
+from lfield.text.visible import in_one_line
+from lfield.wire.events import Came, Hopped, Left, Logged, Measured, Printed, Stayed, as_fields
+from lfield.wire.fields import Telemetry
+
+#: What a table can have of them: telemetry, a row for each number, and hops.
+IN_TABLES = ("measured", "left", "came", "hopped", "stayed")
+COLUMNS = (
+    *("time", "within", "host", "number", "kind", "of", "quantity", "value"),
+    *("generation", "sequence", "from", "to", "seconds", "size"),
+)
+
+
+def as_line(dated: Dated) -> str:
+    """`12:34:56.789  alpha  #9  left  agent=boss ...`, in the local time of this computer."""
+    told = as_fields(dated.event)
+    words = [f"{name}={_word(value)}" for name, value in told.items() if name not in _HEAD]
+    caused = f"by={dated.cause.host}:{dated.cause.number}" if dated.cause is not None else ""
+    number = f"#{told['number']}"
+    return "  ".join(
+        filter(None, (clock_time(dated), in_one_line(dated.host), number, told["kind"], *words, caused))
+    )
+
+
+_HEAD = ("number", "at", "up", "cause", "kind")
+
+
+def _word(value: object) -> str:
+    if isinstance(value, str):
+        text = in_one_line(value)
+        return text if text and " " not in text else f'"{text}"'
+    if isinstance(value, float):
+        return f"{value:.6g}"
+    if isinstance(value, dict):
+        return "{" + ", ".join(f"{in_one_line(name)}: {_word(each)}" for name, each in value.items()) + "}"
+    if isinstance(value, list):
+        return "[" + ", ".join(map(_word, value)) + "]"
+    return _truth(value) if isinstance(value, bool) else str(value)
+
+
+def _truth(value: bool) -> str:
+    return "true" if value else "false"
+
+
+def clock_time(dated: Dated) -> str:
+    """The time of day, to the millisecond."""
+    whole, part = divmod(round(dated.time * 1000), 1000)
+    try:
+        return f"{time.strftime('%H:%M:%S', time.localtime(whole))}.{part:03d}"
+    except (OverflowError, OSError, ValueError):
+        return f"{whole}.{part:03d}"
+
+
+def as_json(told: Dated | Notice) -> str:
+    """One object: what `events.md` says, with the host and the time on the one time line.
+
+    What is no number in JSON (NaN) is null. Of a notice only what was lost is told, as of a kind 'lost'.
+    """
+    if isinstance(told, Notice):
+        return _json({"host": told.host, "kind": "lost", "lost": told.lost})
+    cause = None if told.cause is None else told.cause._asdict()
+    whole: dict[str, Any] = {
+        "host": told.host,
+        "incarnation": told.incarnation,
+        "time": told.time,
+        "within": told.within,
+        "caused_by": cause,
+        **as_fields(told.event),
+    }
+    return _json(whole)
+
+
+def _json(whole: dict[str, Any]) -> str:
+    """In ASCII: a terminal may take other characters for orders."""
+    text = msgspec.json.encode(whole).decode()
+    return text if text.isascii() else json.dumps(msgspec.json.decode(text), separators=(",", ":"))
+
+
+class Csv:
+    """Rows of one table; the first line names the columns."""
+
+    def __init__(self) -> None:
+        self._buffer = io.StringIO()
+        self._writer = csv.writer(self._buffer, lineterminator="\n")
+
+    def header(self) -> str:
+        """The names of the columns."""
+        return self._line(COLUMNS)
+
+    def rows(self, dated: Dated) -> Iterator[str]:
+        """The rows of an event, none for what is no matter for a table."""
+        within = "" if dated.within is None else f"{dated.within:.6f}"
+        head = (f"{dated.time:.6f}", within, dated.host, dated.event.number, dated.event.kind)
+        for row in _rows(dated):
+            yield self._line((*head, *row))
+
+    def _line(self, row: tuple[object, ...]) -> str:
+        self._writer.writerow(map(_cell, row))
+        line = self._buffer.getvalue().removesuffix("\n")
+        self._buffer.seek(0)
+        self._buffer.truncate()
+        return line
+
+
+def _rows(dated: Dated) -> Iterator[tuple[object, ...]]:
+    hop: tuple[object, ...]
+    match dated.event.what:
+        case Measured(device, values):
+            for name, value in values.items():
+                for quantity, each in _numbers(name, value):
+                    yield (device, quantity, each, "", "", "", "", "", "")
+            return
+        case Left(agent, generation, sequence, to, _, _, size):
+            hop = (generation, sequence, dated.host, to, "", size)
+        case Came(agent, generation, sequence, of, size):
+            hop = (generation, sequence, of, dated.host, "", size)
+        case Hopped(agent, generation, sequence, to, seconds):
+            hop = (generation, sequence, dated.host, to, "" if seconds is None else seconds, "")
+        case Stayed(agent, generation, sequence, to):
+            hop = (generation, sequence, dated.host, to, "", "")
+        case _:
+            return
+    yield (agent, "", "", *hop)
+
+
+def _numbers(name: str, value: Telemetry) -> Iterator[tuple[str, object]]:
+    """A quantity as columns can have it: of an array each element by itself, `position[0]`."""
+    if isinstance(value, list):
+        yield from ((f"{name}[{place}]", each) for place, each in enumerate(value))
+    else:
+        yield name, _truth(value) if isinstance(value, bool) else value
+
+
+def _cell(value: object) -> object:
+    return in_one_line(value) if isinstance(value, str) else value
+
+
+class LogView:
+    """Lines of logs with the time of this computer, the host, and who said it."""
+
+    def __init__(self) -> None:
+        self._pieces = Pieces()
+
+    def lines(self, dated: Dated) -> Iterator[str]:
+        """The lines that an event ends."""
+        head = f"{clock_time(dated)} {in_one_line(dated.host)} |"
+        match dated.event.what:
+            case Printed(agent) as what:
+                for line in self._pieces.lines(dated.host, what):
+                    yield f"{head} {in_one_line(agent)}: {in_one_line(line)}"
+            case Logged(text):
+                for line in text.splitlines() or [""]:
+                    yield f"{head} {in_one_line(line)}"

@@ -1,0 +1,121 @@
+"""What one watcher of a host is told, and when: batches of states and telemetry, as it keeps up. Pure.
+
+It gets every state in its turn, as long as the stream has it. Telemetry waits until there is room and no
+state left: of each device and agent only the newest, and what that replaced is counted. At most WINDOW
+batches are on their way; who does not read them gets no more, and its host does nothing for it but count.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Mapping
+
+from lfield.host.sight.stream import Stream, size_of
+from lfield.wire.events import Event, Thinned
+from lfield.wire.observing import Status
+from lfield.wire.watching import MAX_EVENTS, WINDOW, Events, Watch
+
+#: Bytes of the events of a batch, unless one alone has more.
+BATCH_BYTES = 48 << 10
+#: Seconds between two batches, at least; and at most, so that a watcher knows that the host lives.
+LEAST, QUIET = 0.05, 1.0
+#: Who has not read for so many seconds what was sent is no watcher any more.
+PATIENCE = 60.0
+#: The telemetry of a host now: by what it is of, a number that is another one when it has changed, and it.
+Sample = Mapping[str, tuple[object, Thinned]]
+
+
+class Watcher:
+    """A watcher from its `watch` on, which came `up` seconds after the host began; `life` is its incarnation.
+
+    All times are such seconds.
+    """
+
+    def __init__(self, stream: Stream, life: int, watch: Watch, up: float) -> None:
+        self._stream, self._life = stream, life
+        if watch.incarnation == 0:
+            self._after = stream.latest
+        else:
+            self._after = min(watch.after, stream.latest) if watch.incarnation == life else 0
+        self._snapshot = watch.incarnation != life
+        self._batch = self._seen = 0
+        self._lost: Counter[str] = Counter()
+        self._owed: dict[str, Event] = {}
+        self._known: dict[str, object] = {}
+        self._every = 1.0 / watch.telemetry if watch.telemetry else 0.0
+        #: When telemetry is to be looked at next for it, None for never.
+        self.sample_due: float | None = up if self._every else None
+        #: When a batch may be sent to it next.
+        self.next = up
+        self._heard = up
+
+    def seen(self, batch: int, up: float) -> None:
+        """It has read up to that batch."""
+        if self._seen < batch <= self._batch:
+            self._seen, self._heard = batch, up
+
+    def has_gone(self, up: float) -> bool:
+        """Whether it has stopped reading for good."""
+        return self._seen < self._batch and up - self._heard >= PATIENCE
+
+    @property
+    def due(self) -> float:
+        """When `batch` gives something next, if all goes on like this, or it `has_gone`."""
+        if self._is_behind:
+            return self._heard + PATIENCE
+        owes = not self._batch or self._snapshot or self._owed or self._stream.latest > self._after
+        return self.next if owes else self.next - LEAST + QUIET
+
+    @property
+    def _is_behind(self) -> bool:
+        return self._batch - self._seen >= WINDOW
+
+    def sample(self, told: Sample, at: float, up: float) -> None:
+        """How everything is now; what has changed since it was last looked at is owed."""
+        if self.sample_due is None or up < self.sample_due:
+            return
+        self.sample_due = max(self.sample_due + self._every, up)
+        latest = self._stream.latest
+        for key, (version, what) in told.items():
+            if self._known.get(key) == version:
+                continue
+            self._known[key] = version
+            event = Event(latest, at, up, 0, what)
+            if key in self._owed:
+                self._lost[event.kind] += 1
+            self._owed[key] = event
+
+    def batch(self, at: float, up: float, snapshot: Callable[[], Status]) -> Events | None:
+        """What is to be sent now, None for nothing yet."""
+        if self._is_behind or up < self.due:
+            return None
+        if self._seen == self._batch:
+            # From here on it is waited for.
+            self._heard = up
+        if (missing := self._stream.oldest - 1 - self._after) > 0:
+            self._lost["state"] += missing
+            self._after += missing
+            self._snapshot = True
+        after, told, shown = self._after, list[Event](), None
+        if self._snapshot:
+            shown, self._snapshot = snapshot(), False
+        else:
+            told = self._told()
+        self._batch += 1
+        self.next = up + LEAST
+        lost, self._lost = dict(self._lost), Counter()
+        return Events(self._life, self._batch, at, up, after, self._stream.latest, told, lost, shown)
+
+    def _told(self) -> list[Event]:
+        """The next states; where they leave room, telemetry too."""
+        told, size = self._stream.after(self._after, MAX_EVENTS, BATCH_BYTES)
+        self._after += len(told)
+        if self._after < self._stream.latest:
+            return told
+        for key, event in list(self._owed.items()):
+            size += size_of(event)
+            if len(told) >= MAX_EVENTS or (told and size > BATCH_BYTES):
+                break
+            told.append(event)
+            del self._owed[key]
+        return told

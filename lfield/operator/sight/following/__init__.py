@@ -1,0 +1,1 @@
+"""How the streams of hosts are followed over cuts and restarts."""

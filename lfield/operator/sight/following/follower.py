@@ -1,0 +1,178 @@
+"""Follows the streams of hosts: a link to each, made anew after every cut, and what comes goes to one hearer.
+
+The shell of `Cursor`, which knows what to ask for. A host tells something every second, be it that nothing
+happened; one that says nothing has no link any more, however long the network takes to see it.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Awaitable, Callable, Sequence
+from typing import Protocol
+
+from lfield.clock import Clock
+from lfield.errors import GreetingError, KeysError, LfieldError, NobodyListens, WireError
+from lfield.net.greeting import Greeting
+from lfield.net.transport import Link, Transport
+from lfield.operator.ask import Brought
+from lfield.operator.sight.following.cursor import Cursor
+from lfield.wire.coordinators import Transfer
+from lfield.wire.messages import Hello, Message, Refuse, Revocations
+from lfield.wire.watching import Events, Seen
+
+#: Whoever is silent for so many seconds is given up; a look is taken every so many.
+SILENT, LOOK = 6.0, 1.0
+
+
+class Hearer(Protocol):
+    """Whoever wants to know what happens on hosts."""
+
+    def linked(self, host: str) -> None:
+        """A host is heard."""
+
+    def unlinked(self, host: str, why: str) -> None:
+        """It is not, or not any more. Said after every try that failed."""
+
+    def told(self, host: str, batch: Events, took: float | None) -> None:
+        """What happened there, nothing twice; `took` seconds after it was asked for, of a first answer."""
+
+
+class Follower:
+    """Follows `hosts` by their names. `reach` says where one is to be found now, as often as it is called.
+
+    `since` and `telemetry` (Hz) as a `Cursor` has them; `brings` is a revocation list for hosts that have an
+    older one.
+    """
+
+    def __init__(
+        self,
+        transport: Transport,
+        hosts: Sequence[str],
+        reach: Callable[[str], Awaitable[str]],
+        hearer: Hearer,
+        clock: Clock,
+        *,
+        since: int | None = None,
+        telemetry: float = 0.0,
+        brings: Brought | None = None,
+    ) -> None:
+        self._transport, self._hosts, self._reach = transport, hosts, reach
+        self._hearer, self._clock, self._brings = hearer, clock, brings
+        self._cursors = {host: Cursor(since, telemetry) for host in hosts}
+
+    async def run(self) -> None:
+        """Follow all of them until this is cancelled."""
+        async with asyncio.TaskGroup() as group:
+            for host in self._hosts:
+                group.create_task(self._follow(host))
+
+    async def _follow(self, host: str) -> None:
+        cursor = self._cursors[host]
+        while True:
+            why = await self._once(host, cursor)
+            self._hearer.unlinked(host, why)
+            await asyncio.sleep(cursor.failed())
+
+    async def _once(self, host: str, cursor: Cursor) -> str:
+        """Follow a host until there is no link any more; why that is."""
+        watching = Watching(host, cursor, self._hearer, self._clock, self._brings)
+        link: Link | None = None
+        try:
+            link = await self._transport.connect(await self._reach(host), watching)
+            watching.greet(link)
+            return await watching.over
+        except NobodyListens as error:
+            cursor.nobody()
+            return str(error)
+        except LfieldError as error:
+            return str(error)
+        finally:
+            watching.end()
+            if link is not None:
+                link.abort()
+
+
+class Watching:
+    """The handler of one link: greets, watches, hands on what comes, and says that it was read."""
+
+    def __init__(
+        self, host: str, cursor: Cursor, hearer: Hearer, clock: Clock, brings: Brought | None
+    ) -> None:
+        self._host, self._cursor, self._hearer = host, cursor, hearer
+        self._clock, self._brings = clock, brings
+        self._greeting: Greeting | None = None
+        self._asked: float | None = None
+        self._heard = clock.monotonic()
+        self._timer: asyncio.TimerHandle | None = None
+        #: Why the link is over, when it is.
+        self.over: asyncio.Future[str] = asyncio.get_running_loop().create_future()
+
+    def greet(self, link: Link) -> Greeting:
+        """Greet whoever is there, once; what the host says may come first. Raises KeysError."""
+        if self._greeting is None:
+            if link.who.kind == "stranger":
+                raise KeysError(
+                    f"the host at {link.peer} tells those alone who have keys: 'lfield keys person' makes "
+                    "them, and --keys, $LFIELD_KEYS or ~/.config/lfield/keys/me says where they are"
+                )
+            self._greeting = Greeting(Hello("observer", "observer", 0), link.who, dialled=self._host)
+            link.send(self._greeting.begin())
+            self._timer = asyncio.get_running_loop().call_later(LOOK, self._look)
+        return self._greeting
+
+    def on_message(self, link: Link, message: Message) -> None:
+        """The greeting first, then batches."""
+        greeting = self.greet(link)
+        self._heard = self._clock.monotonic()
+        if greeting.peer is None:
+            hello = greeting.receive(message)
+            link.greeted(hello.role)
+            if self._brings is not None and hello.revoked < self._brings.number:
+                link.send(Revocations(self._brings.data))
+            self._asked = self._heard
+            link.send(self._cursor.watch(hello.incarnation))
+        elif isinstance(message, Refuse):
+            raise GreetingError(f"{greeting.peer.host} refused: {message.reason}")
+        elif isinstance(message, Events):
+            self._take(link, message)
+
+    def _take(self, link: Link, batch: Events) -> None:
+        """A batch; its host may send another for it once the hearer has it."""
+        if self.over.done():
+            return
+        took = None
+        if self._asked is not None:
+            took, self._asked = self._heard - self._asked, None
+            self._hearer.linked(self._host)
+        self._hearer.told(self._host, self._cursor.took(batch), took)
+        link.send(Seen(batch.batch))
+
+    def _look(self) -> None:
+        """Give up on a host that says nothing."""
+        silent = self._clock.monotonic() - self._heard
+        if silent >= SILENT:
+            self._over(f"nothing was heard of it for {silent:.0f} s")
+            return
+        self._timer = asyncio.get_running_loop().call_later(LOOK, self._look)
+
+    def on_transfer(self, link: Link, header: Transfer, block: memoryview) -> None:
+        """Nobody sends one to an observer."""
+        raise WireError("a coordinator was sent to an observer")
+
+    def on_oversize(self, link: Link, header: Transfer, size: int) -> None:
+        """Nor a larger one."""
+        raise WireError("a coordinator was sent to an observer")
+
+    def on_closed(self, link: Link, error: LfieldError | None) -> None:
+        """The link is gone."""
+        self._over(str(error) if error is not None else "it has closed the link")
+
+    def _over(self, why: str) -> None:
+        if not self.over.done():
+            self.over.set_result(why)
+
+    def end(self) -> None:
+        """Nobody waits for it any more."""
+        self.over.cancel()
+        if self._timer is not None:
+            self._timer.cancel()

@@ -1,0 +1,69 @@
+"""Where the hosts of a mission are found, also after they were started again: another run, other doors.
+
+A run of this computer has sockets of its own in a folder of its own, so one that is started again is not
+where the last one was. A host over a network stays where its deployment, or `--map`, says.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+
+from lfield.errors import AddressError, LfieldError
+from lfield.operator.addressed import Party
+
+#: Runs are looked for once in so many seconds, however many hosts are missed.
+LOOKED_EVERY = 1.0
+
+
+class Reach:
+    """The hosts of a party. `look` finds the parties of the same mission that there are now; it may read
+    files, and raise LfieldError where nothing is found."""
+
+    def __init__(self, party: Party, look: Callable[[], Sequence[Party]]) -> None:
+        self._party, self._look = party, look
+        self._looked: float | None = None
+        self._looking = asyncio.Lock()
+
+    @property
+    def hosts(self) -> tuple[str, ...]:
+        """Their names, in the order of the team."""
+        return tuple(self._party.addresses)
+
+    @property
+    def addresses(self) -> Mapping[str, str]:
+        """Where they were found last."""
+        return self._party.addresses
+
+    async def __call__(self, host: str) -> str:
+        """Where a host is now. Raises AddressError for one that the mission has no more."""
+        async with self._looking:
+            now = asyncio.get_running_loop().time()
+            if self._looked is None:
+                # What the party was made of was looked for a moment ago.
+                self._looked = now
+            elif now >= self._looked + LOOKED_EVERY:
+                self._looked = now
+                self._take(await asyncio.to_thread(self._found))
+        address = self._party.addresses.get(host)
+        if address is None:
+            raise AddressError(host, "the mission that runs here has no such host any more")
+        return address
+
+    def _found(self) -> Sequence[Party]:
+        with suppress(LfieldError):
+            return self._look()
+        return ()
+
+    def _take(self, parties: Sequence[Party]) -> None:
+        """Of several runs of the mission the one that was followed, or else the newest, which is the last."""
+        own = [party for party in parties if _mission(party) == _mission(self._party)]
+        if own:
+            same = [party for party in own if party.id == self._party.id]
+            self._party = (same or own)[-1]
+
+
+def _mission(party: Party) -> str:
+    """What a party runs; '' for one that was named and that nobody runs here, which is asked for alone."""
+    return party.runs[0].note.deployment if party.runs else ""

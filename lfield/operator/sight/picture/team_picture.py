@@ -1,0 +1,295 @@
+"""What is known of a team now: events of all its hosts in, `Seen` out. Pure (decision 67).
+
+`now` is always the monotonic clock of this computer in seconds, `wall` its Unix time. What a host told before
+its link broke stays, and grows older; a new life of a host begins with nothing of what the last one did.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from lfield.driver.frame import Origin
+from lfield.operator.sight.picture.agents import AgentEvent, Agents
+from lfield.operator.sight.picture.curves import Curves
+from lfield.operator.sight.picture.devices import DeviceEvent, Devices, earth_of, vehicle_of
+from lfield.operator.sight.picture.loglines import LogLines
+from lfield.operator.sight.picture.roll import Roll
+from lfield.operator.sight.seen import (
+    Curve,
+    DeviceSeen,
+    HostSeen,
+    OfferSeen,
+    Seen,
+    StopSeen,
+    VehicleSeen,
+)
+from lfield.wire import events
+from lfield.wire.events import Event
+from lfield.wire.observing import EmergencyStopped, Status
+from lfield.wire.watching import Events
+
+#: Clocks of computers go apart by no more than so many seconds in a second.
+DRIFT = 2e-4
+
+
+@dataclass(slots=True)
+class _Host:
+    """What is known of one. `told` is when it said something last, `clock` how our clock differs from its own
+    monotonic one, by the quickest batch so far."""
+
+    linked: bool = False
+    trouble: str = "not heard yet"
+    told: float | None = None
+    incarnation: int = 0
+    restarts: int = 0
+    up: float = 0.0
+    clock: float | None = None
+    wall: float | None = None
+    within: float | None = None
+    ending: str | None = None
+    stopped: str = ""
+    stopped_by: str = ""
+    stopped_at: float | None = None
+    paused: bool = False
+    late: float | None = None
+    reaches: dict[str, bool] = field(default_factory=dict)
+    away: dict[str, float] = field(default_factory=dict)
+    offers: dict[str, str] = field(default_factory=dict)
+    lost: Counter[str] = field(default_factory=Counter)
+    refusals: Mapping[str, str] = field(default_factory=dict)
+    #: The number of the last event that a snapshot has told what came of.
+    past: int = 0
+
+    def when(self, up: float, now: float) -> float:
+        """When that was on our clock, what its own showed then; not later than now."""
+        return now if self.clock is None else min(now, up + self.clock)
+
+
+class Picture:
+    """The picture of one team."""
+
+    def __init__(self, roll: Roll) -> None:
+        self.roll = roll
+        self.revision = 0
+        self._hosts = {host: _Host() for host in roll.hosts}
+        self._agents, self._devices = Agents(roll), Devices(roll)
+        self._log, self._curves = LogLines(), Curves()
+        self._origin = roll.origin
+
+    # --- in -------------------------------------------------------------------------------------------
+
+    def linked(self, name: str) -> None:
+        """There is a link to a host."""
+        host = self._host(name)
+        host.linked, host.trouble = True, ""
+        self._agents.linked(name)
+
+    def unlinked(self, name: str, why: str) -> None:
+        """There is none, or none any more."""
+        host = self._host(name)
+        host.linked, host.trouble = False, why
+
+    def told(self, name: str, batch: Events, now: float, wall: float, took: float | None = None) -> None:
+        """What a host has sent. `took` is how long it was asked for, of a first answer: for that long nobody
+        knows what its clock showed."""
+        host = self._life(name, batch.incarnation)
+        host.told, host.up = now, batch.up
+        behind = now - batch.up
+        host.clock = behind if host.clock is None else min(behind, host.clock + DRIFT)
+        if took is not None or host.wall is None:
+            host.wall, host.within = batch.now - wall, took
+        host.lost.update(batch.lost)
+        for event in batch.events:
+            self._happened(name, host, event, now)
+        if batch.snapshot is not None:
+            self._status(name, host, batch.snapshot, now)
+            host.past = batch.latest
+
+    def answered(self, name: str, answer: EmergencyStopped) -> None:
+        """What a host has said to a stop or a pause: the devices that are not safe, with the reasons."""
+        host = self._host(name)
+        self._devices.movable(name, answer.devices)
+        host.refusals = {device: why for device, why in answer.devices.items() if why}
+
+    def tick(self, now: float) -> None:
+        """Once a second or so: curves grow also while nobody looks."""
+        self._curves.add(now, self.seen(now).vehicles, self._agents.hops_a_minute(now))
+
+    def _host(self, name: str) -> _Host:
+        self.revision += 1
+        if name not in self._hosts:
+            self._hosts[name] = _Host()
+        return self._hosts[name]
+
+    def _life(self, name: str, incarnation: int) -> _Host:
+        """A host in that life of it. What stood in another one is over, and its clock may be another."""
+        host = self._host(name)
+        if host.incarnation not in (0, incarnation):
+            host = self._hosts[name] = _Host(lost=host.lost, restarts=host.restarts + 1)
+            self._agents.restarted(name)
+            self._devices.restarted(name)
+        host.incarnation, host.linked, host.trouble = incarnation, True, ""
+        return host
+
+    def _status(self, name: str, host: _Host, status: Status, now: float) -> None:
+        host.paused, host.late = status.paused, status.late
+        host.stopped = status.stopped
+        host.reaches = {link.host: True for link in status.links if link.away is None}
+        host.away = {link.host: now - link.away for link in status.links if link.away is not None}
+        host.offers = {told.agent: told.refusal for told in status.directory}
+        self._devices.status(name, status.devices, now)
+        self._agents.status(name, status.agents, status.coordinators, now)
+
+    def _happened(self, name: str, host: _Host, event: Event, now: float) -> None:
+        when, what = host.when(event.up, now), event.what
+        is_past = event.number <= host.past and not isinstance(what, events.Measured | events.Standing)
+        if isinstance(what, AgentEvent):
+            self._agents.told(name, what, when, is_past=is_past)
+        elif isinstance(what, events.Printed):
+            self._log.printed(name, event.at, when, what)
+        elif isinstance(what, events.Logged):
+            self._log.add(name, event.at, when, "", what.text)
+        elif is_past:
+            _began(host, what, when)
+        elif isinstance(what, DeviceEvent):
+            self._devices.told(name, what, when)
+        elif isinstance(what, events.Ended):
+            self._agents.served(name, what.resource)
+        else:
+            _stands(host, what, when)
+
+    # --- out ------------------------------------------------------------------------------------------
+
+    def curves(self, now: float) -> tuple[Curve, ...]:
+        """What is plotted."""
+        return self._curves.seen(now)
+
+    def seen(self, now: float) -> Seen:
+        """All that is known at that moment."""
+        fresh = {name: host.linked for name, host in self._hosts.items()}
+        devices = self._devices.seen(now, fresh)
+        offers = self._offers(fresh)
+        return Seen(
+            team=self.roll.team,
+            revision=self.revision,
+            hosts={name: self._seen(name, host, now) for name, host in self._hosts.items()},
+            vehicles=self._vehicles(devices, offers),
+            agents=self._agents.seen(now, fresh),
+            offers=offers,
+            stop=self._stop(now),
+            log=self._log.seen(now),
+        )
+
+    def _vehicles(
+        self, devices: Mapping[str, tuple[DeviceSeen, ...]], offers: Mapping[str, OfferSeen]
+    ) -> dict[str, VehicleSeen]:
+        self._take_origin(devices)
+        found = {}
+        for agent, own in devices.items():
+            refusal = offers[agent].refusal if agent in offers else ""
+            enrolled = self._agents.enrolled(agent)
+            found[agent] = vehicle_of(enrolled, own, refusal, self._devices, self.roll, self._origin)
+        return found
+
+    def _take_origin(self, devices: Mapping[str, tuple[DeviceSeen, ...]]) -> None:
+        """Without an origin of the team a map begins where the first vehicle was seen first, and stays."""
+        for own in devices.values() if self._origin is None else ():
+            place = earth_of(own, self._devices)
+            if place is not None:
+                self._origin = Origin(place.latitude, place.longitude, place.altitude or 0.0)
+                return
+
+    def _seen(self, name: str, host: _Host, now: float) -> HostSeen:
+        since = None if host.told is None else max(0.0, now - host.told)
+        return HostSeen(
+            host=name,
+            linked=host.linked,
+            trouble=host.trouble,
+            age=since,
+            up=None if since is None else host.up + (since if host.linked else 0.0),
+            restarts=host.restarts,
+            ending=host.ending,
+            stopped=host.stopped,
+            paused=host.paused,
+            late=host.late,
+            reaches=tuple(host.reaches),
+            away={peer: max(0.0, now - when) for peer, when in host.away.items()},
+            lost=dict(host.lost),
+            clock=host.wall,
+            clock_within=host.within,
+            place=self.roll.host_place(name),
+        )
+
+    def _offers(self, fresh: Mapping[str, bool]) -> dict[str, OfferSeen]:
+        """Of each agent counts what its own host says while that is heard, else what any does."""
+        tellers: dict[str, list[str]] = {}
+        for name, host in self._hosts.items():
+            for agent in host.offers:
+                tellers.setdefault(agent, []).append(name)
+        found = {}
+        for agent, names in tellers.items():
+            enrolled = self._agents.enrolled(agent)
+            teller = min(names, key=lambda name: (not fresh[name], name != enrolled.host))
+            refusal = self._hosts[teller].offers[agent]
+            told = {name: self._hosts[name].offers[agent] for name in names if fresh[name]}
+            apart = {name: other for name, other in told.items() if bool(other) != bool(refusal)}
+            found[agent] = OfferSeen(agent, enrolled.type, teller, refusal, fresh[teller], apart)
+        return found
+
+    def _stop(self, now: float) -> StopSeen:
+        stopped = {name: host for name, host in self._hosts.items() if host.stopped}
+        if not stopped:
+            return StopSeen()
+        first = min(stopped.values(), key=lambda host: host.stopped_at or now)
+        confirmed, unconfirmed, unreached = [], {}, {}
+        for name, host in self._hosts.items():
+            for device, problem in self._devices.of(name).items():
+                if not problem:
+                    confirmed.append(device)
+                elif name in stopped and host.linked:
+                    unconfirmed[device] = host.refusals.get(device, problem)
+            if not host.linked:
+                gone = f"it has ended: {host.ending}" if host.ending else "it has ended"
+                unreached[name] = gone if host.ending is not None else host.trouble
+            elif name not in stopped:
+                unreached[name] = "it has not said that it has stopped"
+        age = None if first.stopped_at is None else max(0.0, now - first.stopped_at)
+        return StopSeen(
+            first.stopped, first.stopped_by, age, tuple(stopped), tuple(confirmed), unconfirmed, unreached
+        )
+
+
+def _began(host: _Host, what: object, when: float) -> None:
+    """When what a snapshot has shown began, and by whom."""
+    if isinstance(what, events.Stopped) and host.stopped and not what.lifted:
+        host.stopped_by, host.stopped_at = what.by, when
+
+
+def _stands(host: _Host, what: object, when: float) -> None:
+    """What an event says of its host itself. Of others (portals that began, instructions) nothing stays."""
+    match what:
+        case events.Stopped(by, reason, lifted):
+            host.stopped = "" if lifted else reason or "the emergency stop was pressed"
+            host.stopped_by, host.stopped_at = ("", None) if lifted else (by, when)
+            host.refusals = {}
+        case events.Paused(_, lifted):
+            host.paused = not lifted
+        case events.Ending(reason):
+            host.ending = reason
+        case events.Linked(peer):
+            host.reaches[peer] = True
+            host.away.pop(peer, None)
+        case events.Unlinked(peer, lost):
+            host.reaches.pop(peer, None)
+            if lost:
+                host.away[peer] = when
+        case events.Offered(agent):
+            host.offers[agent] = ""
+        case events.Withdrawn(agent, reason):
+            host.offers[agent] = reason or "it cannot be called"
+        case events.Skipped(skipped, count):
+            host.lost[skipped] += count
+        case _:
+            pass

@@ -1,0 +1,109 @@
+"""A team while somebody looks at it: its picture, kept up to date by a follower, and what can be ordered.
+
+async with watched(path, team, party, look, keys) as team:
+    team.seen(); await team.actions.stop()
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator, Callable, Sequence
+from contextlib import asynccontextmanager
+from pathlib import Path
+
+from lfield.clock import Clock, SystemClock
+from lfield.errors import LfieldError
+from lfield.mission import bundle
+from lfield.mission.load import load_mission
+from lfield.mission.team import Team
+from lfield.operator.addressed import Party
+from lfield.operator.ask import brought, observer, own_keys
+from lfield.operator.query import Asked, read_asked
+from lfield.operator.sight.actions import Actions
+from lfield.operator.sight.following.beside import beside
+from lfield.operator.sight.following.follower import Follower
+from lfield.operator.sight.following.reach import Reach
+from lfield.operator.sight.orders import Orders
+from lfield.operator.sight.picture.roll import Roll, roll_of
+from lfield.operator.sight.picture.team_picture import Picture
+from lfield.operator.sight.seen import Curve, Seen
+from lfield.wire.watching import Events
+
+#: How often a second each device and agent is told of.
+RATE = 5.0
+#: Curves grow every so many seconds.
+TICK = 1.0
+
+
+class Watched:
+    """Implements `Sight`, and `Hearer` for a follower. `actions` is what can be done with the team."""
+
+    actions: Actions
+
+    def __init__(self, roll: Roll, clock: Clock) -> None:
+        self.picture = Picture(roll)
+        self._clock = clock
+
+    def seen(self) -> Seen:
+        """How the team is now."""
+        return self.picture.seen(self._clock.monotonic())
+
+    def curves(self) -> tuple[Curve, ...]:
+        """What is plotted, of the last minutes."""
+        return self.picture.curves(self._clock.monotonic())
+
+    def linked(self, host: str) -> None:
+        """See `Hearer.linked`."""
+        self.picture.linked(host)
+
+    def unlinked(self, host: str, why: str) -> None:
+        """See `Hearer.unlinked`."""
+        self.picture.unlinked(host, why)
+
+    def told(self, host: str, batch: Events, took: float | None) -> None:
+        """See `Hearer.told`."""
+        self.picture.told(host, batch, self._clock.monotonic(), self._clock.time(), took)
+
+    async def tick(self) -> None:
+        """Let curves grow until this is cancelled."""
+        while True:
+            self.picture.tick(self._clock.monotonic())
+            await asyncio.sleep(TICK)
+
+
+def read_roll(path: Path, team: Team) -> Roll:
+    """The roll of a team with all that its files say; of files with mistakes in them that of the deployment.
+
+    A team that flies can be watched whatever has become of the program on this computer.
+    """
+    try:
+        is_bundle = path.suffix == bundle.SUFFIX
+        # Whether its devices are fakes does not change what they tell.
+        mission = bundle.read(path) if is_bundle else load_mission(path, simulate=True)
+        return roll_of(path.stem, team, mission)
+    except LfieldError:
+        return roll_of(path.stem, team)
+
+
+@asynccontextmanager
+async def watched(
+    path: Path, team: Team, party: Party, look: Callable[[], Sequence[Party]], keys: Path | None = None
+) -> AsyncIterator[Watched]:
+    """The team of a mission while it is looked at; `look` finds its hosts anew, `keys` says where those of
+    this user should be.
+
+    Raises KeysError for keys that cannot be used.
+    """
+    clock = SystemClock()
+    own = own_keys(party.addresses.values(), keys)
+    transport, brings = observer(own), brought(own)
+    reach = Reach(party, look)
+    shown = Watched(await asyncio.to_thread(read_roll, path, team), clock)
+
+    def asked() -> Asked:
+        return read_asked(path, team)
+
+    shown.actions = Orders(transport, reach, shown.picture.answered, team, asked, own, brings)
+    follower = Follower(transport, reach.hosts, reach, shown, clock, telemetry=RATE, brings=brings)
+    async with beside(follower.run(), shown.tick()):
+        yield shown

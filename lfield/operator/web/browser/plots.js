@@ -1,0 +1,93 @@
+// Battery, height, link age and hops per minute of the last minutes, by ECharts. Nothing is asked for while the
+// plots are closed.
+import { echarts } from "nicegui-echart";
+import { pause, samples, shown } from "./server.js";
+
+// Milliseconds between two looks at them: they show minutes.
+const INTERVAL = 4000;
+
+const KINDS = {
+  height: { title: "Height, m", scale: 1 },
+  battery: { title: "Battery, %", scale: 100, min: 0, max: 100 },
+  link: { title: "Link age, s", scale: 1, min: 0 },
+  hops: { title: "Hops per minute", scale: 1, min: 0 },
+};
+
+const COLOURS = ["#2f6690", "#c8553d", "#588157", "#8d6a9f", "#b08968", "#3a7d7c", "#a3333d", "#5f6c7b"];
+
+function options(kind, curves) {
+  const ink = getComputedStyle(document.documentElement).getPropertyValue("--faint");
+  const line = getComputedStyle(document.documentElement).getPropertyValue("--line");
+  const minutes = (value) => (value === 0 ? "now" : `${-value / 60} min`);
+  const axis = { axisLabel: { color: ink, fontSize: 11 }, splitLine: { lineStyle: { color: line } } };
+  return {
+    animation: false,
+    color: COLOURS,
+    grid: { left: 44, right: 14, top: 12, bottom: 24 },
+    tooltip: { trigger: "axis", confine: true, valueFormatter: (value) => Number(value).toPrecision(3) },
+    xAxis: { type: "value", min: -600, max: 0, interval: 120, ...axis, axisLine: { lineStyle: { color: line } }, splitLine: { show: false }, axisLabel: { ...axis.axisLabel, formatter: minutes } },
+    yAxis: { type: "value", splitNumber: 4, axisLine: { show: false, onZero: false }, axisTick: { show: false }, min: kind.min, max: kind.max, scale: kind.min === undefined, ...axis },
+    series: curves.map((curve) => ({
+      type: "line",
+      name: curve.of,
+      showSymbol: curve.points.length === 1,
+      lineStyle: { width: 1.5 },
+      data: curve.points.map(([ago, value]) => [ago, value * kind.scale]),
+    })),
+  };
+}
+
+export default {
+  template: `
+    <details class="panel plots" data-testid="plots" @toggle="toggled">
+      <summary><h2>Plots</h2></summary>
+      <div class="charts">
+        <figure v-for="(kind, what) in kinds" :key="what"><figcaption>{{ kind.title }}</figcaption><div :ref="what" class="chart" :data-testid="'plot-' + what"></div></figure>
+      </div>
+      <p class="key"><span v-for="(of, n) in legend" :key="of"><i :style="{background: colours[n % colours.length]}"></i>{{ of }}</span></p>
+      <p v-if="trouble" class="bad">{{ trouble }}</p>
+    </details>`,
+  data: () => ({ kinds: KINDS, colours: COLOURS, legend: [], trouble: "" }),
+  methods: {
+    toggled(event) {
+      this.open = event.target.open;
+      if (this.open && !this.busy) this.forever();
+    },
+    async forever() {
+      this.busy = true;
+      while (this.open) {
+        try {
+          this.draw(await samples());
+          this.trouble = "";
+        } catch (error) {
+          this.trouble = error.message;
+        }
+        await pause(INTERVAL);
+        await shown();
+      }
+      this.busy = false;
+    },
+    draw(curves) {
+      this.legend = [...new Set(curves.filter((curve) => curve.what !== "hops").map((curve) => curve.of))];
+      for (const [what, kind] of Object.entries(KINDS)) {
+        const chart = (this.charts[what] ??= echarts.init(this.$refs[what][0]));
+        chart.setOption(options(kind, curves.filter((curve) => curve.what === what)), { notMerge: true });
+      }
+    },
+    resized() {
+      for (const chart of Object.values(this.charts)) chart.resize();
+    },
+  },
+  created() {
+    this.charts = {};
+    this.open = this.busy = false;
+  },
+  mounted() {
+    window.addEventListener("resize", this.resized);
+  },
+  unmounted() {
+    this.open = false;
+    window.removeEventListener("resize", this.resized);
+    for (const chart of Object.values(this.charts)) chart.dispose();
+  },
+};

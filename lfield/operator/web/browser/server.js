@@ -1,0 +1,64 @@
+// What the page asks of its server.
+
+// Milliseconds between two looks, and how long one may take before the page says that it is not up to date.
+const INTERVAL = 200;
+const PATIENCE = 3000;
+// Devices take their time to confirm what a button wants.
+const LONG_PATIENCE = 20000;
+
+async function answerOf(path, options, patience) {
+  const answer = await fetch(path, { cache: "no-store", signal: AbortSignal.timeout(patience), ...options });
+  if (!answer.ok) throw new Error((await answer.text()) || `the server answers ${answer.status}`);
+  return answer.json();
+}
+
+function post(path, says) {
+  const headers = { "Content-Type": "application/json" };
+  return answerOf(path, { method: "POST", headers, body: JSON.stringify(says) }, LONG_PATIENCE);
+}
+
+// Whoever presses a button hears what came of it; nothing is kept and sent later.
+export const act = (action) => post("act", { action });
+
+export const ask = (text) => post("query", { text });
+
+export const samples = () => answerOf("plots", {}, PATIENCE);
+
+export function pause(milliseconds) {
+  return new Promise((resolve) => setTimeout(resolve, milliseconds));
+}
+
+export function shown() {
+  if (!document.hidden) return Promise.resolve();
+  return new Promise((resolve) => {
+    document.addEventListener("visibilitychange", () => resolve(shown()), { once: true });
+  });
+}
+
+// Calls `take` with a look, again and again, and `fail` with why there is none; returns what ends that. The
+// next is asked for when one has been drawn. So nothing queues up for a page that sleeps, and when it wakes it
+// is up to date with one.
+export function looks(take, fail) {
+  let ended = false;
+  let line = 0;
+
+  async function look() {
+    const answer = await answerOf(`look?after=${line}`, {}, PATIENCE);
+    line = answer.log.at(-1)?.serial ?? line;
+    if (!ended) take(answer);
+  }
+
+  async function forever() {
+    while (!ended) {
+      const began = performance.now();
+      await look().catch((error) => ended || fail(error));
+      await pause(Math.max(0, began + INTERVAL - performance.now()));
+      await shown();
+    }
+  }
+
+  forever();
+  return () => {
+    ended = true;
+  };
+}

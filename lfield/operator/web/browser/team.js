@@ -1,0 +1,262 @@
+// The whole page: STOP and the other buttons, what stands of a stop, map, vehicles, coordinators, hosts, log,
+// questions, plots. It draws the last look, and says so when that is old.
+import { Plots, TeamMap, act, ask, looks, words } from "lfield-watch";
+
+// Looks that are older than this, in milliseconds, are told to be old.
+const OLD = 2000;
+const LINES_KEPT = 400;
+
+const QUESTIONS = {
+  lift: "Lift the stop? Programs may then release their devices, and vehicles may move.",
+  resume: "Resume the mission? Agents go on, and vehicles may move.",
+};
+
+export default {
+  components: { TeamMap, Plots },
+  props: { title: String, resourcePath: String },
+  template: `
+  <div class="watch" :class="{stale, halted: look?.stands}">
+    <header>
+      <button type="button" class="stop" data-testid="stop" :disabled="Boolean(barred.stop)" :title="barred.stop"
+              @click="press('stop')">STOP</button>
+      <h1>{{ title }}</h1>
+      <p class="state" data-testid="state" role="status">{{ state }}</p>
+      <nav aria-label="Mission">
+        <button type="button" data-testid="pause" :disabled="Boolean(barred.pause)" :title="barred.pause"
+                @click="press('pause')">Pause</button>
+        <button type="button" data-testid="resume" :disabled="Boolean(barred.resume)" :title="barred.resume"
+                @click="confirm('resume')">Resume</button>
+        <button type="button" data-testid="lift" :disabled="Boolean(barred.lift) || !liftable" :title="barred.lift"
+                @click="confirm('lift')">Lift the stop</button>
+      </nav>
+    </header>
+    <p v-for="(why, order) in barredWords" :key="why" class="barred" :data-testid="'barred-' + order">{{ why }}</p>
+    <p v-if="trouble" class="trouble" role="alert" data-testid="trouble">{{ trouble }}</p>
+    <p v-if="failed" class="trouble" role="alert" data-testid="failed">{{ failed }}</p>
+    <section v-if="stopShown" class="halt" :class="{complete: look.complete}" data-testid="halt" role="alert">
+      <h2>{{ haltTitle }}</h2>
+      <p v-if="look.stop.reason">{{ look.stop.reason }}<template v-if="look.stop.by">, by {{ look.stop.by }}</template><template v-if="look.stop.age !== null">, {{ age(look.stop.age) }} ago</template></p>
+      <ul>
+        <li v-for="(why, host) in look.stop.unreached" :key="'h' + host" class="bad" :data-testid="'unreached-' + host"><b>{{ host }}</b> NOT REACHED: {{ why }}</li>
+        <li v-for="(why, device) in look.stop.unconfirmed" :key="'u' + device" class="bad" :data-testid="'unconfirmed-' + device"><b>{{ device }}</b> NOT CONFIRMED: {{ why }}</li>
+        <li v-for="device in look.stop.confirmed" :key="'c' + device" :data-testid="'confirmed-' + device"><b>{{ device }}</b> safe</li>
+      </ul>
+    </section>
+    <main v-if="look">
+      <div class="column-of">
+      <section class="place" aria-label="Map">
+        <team-map :look="look" :tiles="look.tiles" :selected="selected" @select="selected = $event"/>
+      </section>
+      <section class="panel log" aria-label="Log">
+        <h2>Log</h2>
+        <div ref="log" class="lines" data-testid="log" role="log" tabindex="0" @scroll="scrolled">
+          <p v-for="line in log" :key="line.serial"><time>{{ clock(line.at) }}</time><b>{{ line.host }}</b><span>{{ said(line) }}</span></p>
+        </div>
+        <p v-for="words in losses" class="bad">{{ words }}</p>
+      </section>
+      </div>
+      <div class="column-of">
+      <section class="panel vehicles" aria-label="Vehicles">
+        <h2>Vehicles</h2>
+        <table>
+          <thead><tr><th scope="col">Vehicle</th><th scope="col">State</th><th scope="col" class="number">Height</th><th scope="col" class="number">Battery</th><th scope="col" class="number">Link</th><th scope="col" class="number wide">East, north, m</th></tr></thead>
+          <tbody>
+            <tr v-for="v in look.vehicles" :key="v.agent" :data-testid="'vehicle-' + v.agent"
+                :class="{old: !v.fresh, selected: v.agent === selected}" @mouseenter="selected = v.agent" @mouseleave="selected = ''">
+              <th scope="row"><i class="lamp" :class="lamp(v)"></i>{{ v.agent }}<small>{{ v.host }}</small></th>
+              <td>{{ v.mode || "–" }}<small v-if="v.armed !== null">{{ v.armed ? "armed" : "disarmed" }}</small><template v-for="d in v.devices" :key="d.name"><span v-if="d.latched" class="latch" :class="{bad: !d.confirmed}"
+                  :data-testid="'latch-' + d.name.replace('.', '-')" :title="d.latched">{{ latchWords(d) }}</span></template></td>
+              <td class="number" :data-testid="'height-' + v.agent">{{ metres(v.height) }}</td>
+              <td class="number" :class="{low: v.battery !== null && v.battery < 0.2}">{{ share(v.battery) }}</td>
+              <td class="number" :class="{low: v.link !== null && v.link > 3}">{{ age(v.link) }}</td>
+              <td class="number wide" :data-testid="'place-' + v.agent">{{ place(v) }}</td>
+            </tr>
+          </tbody>
+        </table>
+        <p v-if="!look.vehicles.length" class="none">No agent of this team has devices.</p>
+      </section>
+      <section class="panel coordinators" aria-label="Coordinators">
+        <h2>Coordinators</h2>
+        <article v-for="c in look.coordinators" :key="c.agent" :data-testid="'coordinator-' + c.agent" :class="{old: !c.fresh}">
+          <h3>{{ c.agent }}<small>{{ where(c) }}</small></h3>
+          <p v-if="c.line || c.waits" class="line"><code v-if="c.line">{{ c.file }}:{{ c.line }}</code><template v-if="c.waits"> waits for <code>{{ c.waits }}</code></template></p>
+          <p v-if="c.doubt" class="bad">{{ c.doubt }}</p>
+          <p v-if="c.finished && c.detail" class="bad">{{ c.detail }}</p>
+          <p class="hops"><span class="hop">{{ c.hops }} hop{{ c.hops === 1 ? "" : "s" }}</span><span v-for="hop in c.trail.slice(-3).reverse()" :key="hop.number" class="hop">{{ hop.of }} → {{ hop.to }}{{ hop.failed ? ", failed" : hop.seconds === null ? "" : ", " + duration(hop.seconds) }}</span></p>
+        </article>
+        <p v-if="!look.coordinators.length" class="none">No coordinator was heard of yet.</p>
+      </section>
+      <section class="panel hosts" aria-label="Hosts">
+        <h2>Hosts</h2>
+        <ul>
+          <li v-for="host in look.hosts" :key="host.host" :data-testid="'host-' + host.host" :class="{old: !host.linked}">
+            <i class="lamp" :class="host.linked ? 'well' : 'gone'"></i><b>{{ host.host }}</b><span>{{ hostWords(host) }}</span>
+          </li>
+        </ul>
+      </section>
+      <section class="panel who" aria-label="Who can do it">
+        <h2>Who can do it</h2>
+        <form @submit.prevent="question">
+          <input v-model="asked" data-testid="query" aria-label="Question" placeholder="Lift where payload >= 2.0" autocomplete="off" spellcheck="false" maxlength="4000"/>
+          <button type="submit" :disabled="!asked.trim() || asking">Ask</button>
+        </form>
+        <div v-if="answer" class="answer" data-testid="answer" role="status">
+          <pre v-if="answer.mistakes" class="bad">{{ answer.mistakes }}</pre>
+          <p v-for="(why, host) in answer.unheard" :key="host" class="bad">{{ host }}: {{ why }}</p>
+          <template v-for="found in answer.found" :key="found.primitive">
+            <h3>{{ found.primitive }}<small>{{ found.offers.length ? found.count + " can" : "nobody can" }}</small></h3>
+            <ol v-if="found.offers.length"><li v-for="offer in found.offers"><b>{{ offer.agent }}</b> at {{ offer.host }}, {{ offer.how }}, score {{ offer.score.toFixed(3) }}<small>{{ [...offer.facts, ...offer.parts].join(", ") }}</small></li></ol>
+            <p v-for="note in found.notes">{{ note }}</p>
+            <pre v-if="found.refusals" class="why">{{ found.refusals }}</pre>
+          </template>
+        </div>
+        <ul v-else class="offers">
+          <li v-for="offer in look.offers" :key="offer.agent" :class="{old: !offer.fresh}"><b>{{ offer.agent }}</b> {{ offer.type }}<span v-if="offer.refusal" class="bad"> {{ offer.refusal }}</span></li>
+        </ul>
+      </section>
+      </div>
+      <plots :stale="stale"/>
+    </main>
+    <p v-else-if="!trouble" class="none">Waiting for the first look at the team.</p>
+    <dialog ref="sure" @close="sureClosed">
+      <form method="dialog">
+        <p>{{ sureWords }}</p>
+        <button value="" data-testid="no" autofocus>No, leave it</button>
+        <button value="yes" data-testid="yes">Yes, {{ sure }}</button>
+      </form>
+    </dialog>
+  </div>`,
+  data: () => ({
+    look: null, log: [], taken: 0, now: 0, trouble: "", failed: "", selected: "",
+    asked: "", asking: false, answer: null, sure: "",
+  }),
+  computed: {
+    stale() {
+      return this.look !== null && this.now - this.taken > OLD;
+    },
+    barred() {
+      return this.look?.barred ?? {};
+    },
+    barredWords() {
+      const seen = new Set();
+      return Object.fromEntries(Object.entries(this.barred).filter(([, why]) => !seen.has(why) && seen.add(why)));
+    },
+    liftable() {
+      return this.look?.stands ?? false;
+    },
+    state() {
+      if (!this.look) return "";
+      const linked = this.look.hosts.filter((host) => host.linked).length;
+      const words = [`${linked} of ${this.look.hosts.length} hosts linked`];
+      if (this.look.stands) words.push("STOPPED");
+      else if (this.look.paused.length) words.push(`paused at ${this.look.paused.join(", ")}`);
+      if (this.stale) words.push(`last look ${words.age((this.now - this.taken) / 1000)} ago`);
+      return words.join(" · ");
+    },
+    stopShown() {
+      const stop = this.look?.stop;
+      return stop && (this.look.stands || stop.unconfirmed && Object.keys(stop.unconfirmed).length || Object.keys(stop.unreached).length && stop.age !== null);
+    },
+    haltTitle() {
+      if (this.look.complete) return "Stopped: every device is safe";
+      const missing = Object.keys(this.look.stop.unconfirmed).length + Object.keys(this.look.stop.unreached).length;
+      return this.look.stands ? `Stopped: ${missing} not confirmed` : `Stop pressed: ${missing} not confirmed`;
+    },
+    sureWords() {
+      return QUESTIONS[this.sure] ?? "";
+    },
+    losses() {
+      const words = (host) => Object.entries(host.lost).map(([kind, count]) => `${count} ${kind}`).join(", ");
+      return this.look.hosts.filter((host) => Object.keys(host.lost).length).map((host) => `${host.host}: lost on the way: ${words(host)}`);
+    },
+  },
+  methods: {
+    age: words.age, metres: words.metres, share: words.share, place: words.place, clock: words.clock,
+    duration: words.duration,
+    lamp(v) {
+      if (!v.fresh) return "gone";
+      if (v.devices.some((d) => d.latched)) return "held";
+      return "well";
+    },
+    latchWords(d) {
+      if (!d.confirmed) return "not confirmed";
+      return `safe, ${d.moving || "at rest"}`;
+    },
+    // Many programs say who speaks.
+    said({ agent, text }) {
+      return agent && !text.startsWith(`${agent}:`) ? `${agent}: ${text}` : text;
+    },
+    where(c) {
+      if (c.finished) return `${c.finished} at ${c.host}`;
+      if (c.to) return `${c.host} → ${c.to}`;
+      return `at ${c.host}${c.state ? ", " + c.state : ""}`;
+    },
+    hostWords(host) {
+      const parts = [];
+      if (!host.linked) parts.push(host.age === null ? "not heard yet" : `last heard ${words.age(host.age)} ago`);
+      if (host.ending) parts.push(`ended: ${host.ending}`);
+      else if (host.trouble) parts.push(host.trouble);
+      if (host.linked) parts.push(host.reaches.length ? `linked with ${host.reaches.join(", ")}` : "linked");
+      for (const [other, seconds] of Object.entries(host.away)) parts.push(`misses ${other} for ${words.age(seconds)}`);
+      if (host.paused) parts.push("paused");
+      if (host.clock !== null && Math.abs(host.clock) > 1) parts.push(`its clock is ${words.age(Math.abs(host.clock))} ${host.clock > 0 ? "ahead" : "behind"}`);
+      return parts.join(" · ");
+    },
+    take({ look, log }) {
+      this.look = look;
+      this.taken = this.now = performance.now();
+      this.trouble = "";
+      if (!log.length) return;
+      this.log = [...this.log, ...log].slice(-LINES_KEPT);
+      this.$nextTick(() => {
+        const lines = this.$refs.log;
+        if (lines && this.atEnd !== false) lines.scrollTop = lines.scrollHeight;
+      });
+    },
+    scrolled() {
+      const lines = this.$refs.log;
+      this.atEnd = lines.scrollHeight - lines.scrollTop - lines.clientHeight < 24;
+    },
+    async press(order) {
+      try {
+        await act(order);
+        this.failed = "";
+      } catch (error) {
+        this.failed = `${order.toUpperCase()} has perhaps not been done: ${error.message}; ${order === "stop" ? "press it again, or use 'lfield estop'" : "look, and press it again"}`;
+      }
+    },
+    confirm(order) {
+      this.sure = order;
+      this.$refs.sure.returnValue = "";
+      this.$refs.sure.showModal();
+    },
+    sureClosed() {
+      if (this.$refs.sure.returnValue === "yes") this.press(this.sure);
+    },
+    async question() {
+      this.asking = true;
+      try {
+        this.answer = await ask(this.asked);
+      } catch (error) {
+        this.answer = { mistakes: error.message, unheard: {}, found: [] };
+      }
+      this.asking = false;
+    },
+  },
+  async mounted() {
+    const sheet = document.createElement("link");
+    await this.$nextTick();
+    sheet.rel = "stylesheet";
+    sheet.href = `${this.resourcePath}/leaflet/leaflet.css`;
+    document.head.append(sheet);
+    this.end = looks(this.take, (error) => {
+      this.now = performance.now();
+      this.trouble = `The page has lost its server, what it shows is old: ${error.message}`;
+    });
+    this.tick = setInterval(() => (this.now = performance.now()), 500);
+  },
+  unmounted() {
+    this.end?.();
+    clearInterval(this.tick);
+  },
+};

@@ -1,0 +1,67 @@
+"""Who may open the page: whoever has the link that was printed on the terminal, once; then that browser.
+
+Every user of a computer reaches its loopback, and so does every web page that one of them has open. So a
+request must bring the cookie of a session, which the link gives; it must be for an address of ours, or a name
+that somebody else made point here would do (DNS rebinding); and what comes from a page must come from ours.
+"""
+
+from __future__ import annotations
+
+import hmac
+from collections.abc import Callable, Collection
+from dataclasses import dataclass
+
+#: So many browsers have the page open; of more the one that came first must take a new link.
+MOST_SESSIONS = 32
+
+NO_SESSION = "this page is opened by the link that 'lfield watch' has printed last, once for each browser"
+OLD_LINK = "this link has been used: take the one that 'lfield watch' has printed last on its terminal"
+FOREIGN_ADDRESS = "this page is not served under that address: take the one that 'lfield watch' has printed"
+FOREIGN_PAGE = "another page asks for this, and only the page of 'lfield watch' may"
+
+
+@dataclass(frozen=True, slots=True)
+class Knock:
+    """A request, as far as it says who asks: three headers, '' for none, and whether it acts."""
+
+    host: str
+    origin: str = ""
+    session: str = ""
+    acts: bool = False
+
+
+class Door:
+    """Lets browsers in. `addresses` are those of the page as browsers name them, `dice` makes secrets."""
+
+    def __init__(self, addresses: Collection[str], dice: Callable[[], str], scheme: str = "http") -> None:
+        self._addresses = frozenset(addresses)
+        self._origins = frozenset(f"{scheme}://{address}" for address in addresses)
+        self._dice = dice
+        self._sessions: dict[str, None] = {}
+        self.token = dice()
+
+    def enter(self, token: str) -> str | None:
+        """The session that a link opens, None for a link that opens none. It is used up then."""
+        if not hmac.compare_digest(token.encode(), self.token.encode()):
+            return None
+        self.token = self._dice()
+        session = self._dice()
+        self._sessions[session] = None
+        while len(self._sessions) > MOST_SESSIONS:
+            del self._sessions[next(iter(self._sessions))]
+        return session
+
+    def wrong_address(self, knock: Knock) -> str:
+        """Why nothing at all is answered to it, '' when something may be."""
+        return "" if knock.host in self._addresses else FOREIGN_ADDRESS
+
+    def refusal(self, knock: Knock) -> str:
+        """Why a request is refused, '' when it is answered."""
+        if wrong := self.wrong_address(knock):
+            return wrong
+        if knock.session not in self._sessions:
+            return NO_SESSION
+        # Browsers say where a request comes from wherever it changes something, and with each WebSocket.
+        if knock.origin not in self._origins and (knock.origin or knock.acts):
+            return FOREIGN_PAGE
+        return ""

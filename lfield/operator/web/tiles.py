@@ -1,0 +1,84 @@
+"""A background for the map from an MBTiles file: a SQLite database of pictures, read where it lies.
+
+MBTiles 1.3: table `tiles` (zoom_level, tile_column, tile_row, tile_data), rows counted from the south, where
+browsers count from the north; table `metadata` (name, value). Pictures only, no vector tiles.
+"""
+
+from __future__ import annotations
+
+import sqlite3
+from contextlib import closing
+from dataclasses import dataclass
+from pathlib import Path
+
+from lfield.errors import InputFileError
+
+#: How the pictures begin that browsers show, and what they are.
+_KINDS = {b"\x89PNG": "image/png", b"\xff\xd8\xff": "image/jpeg", b"RIFF": "image/webp"}
+#: Zooms that can be asked for: at 24 a pixel is 9 mm.
+MAX_ZOOM = 24
+
+
+@dataclass(frozen=True, slots=True)
+class Tile:
+    """A picture and its media type."""
+
+    data: bytes
+    kind: str
+
+
+class Tiles:
+    """The tiles of one file; `least` and `most` are the zooms that it has, `credit` whom to name for it."""
+
+    def __init__(self, path: Path) -> None:
+        """Raises InputFileError for a file that cannot be read, or has no pictures for a map."""
+        self._path = path
+        if not path.is_file():
+            raise InputFileError(str(path), "there is no such file")
+        try:
+            self._database = sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro", uri=True)
+            zooms = self._database.execute("select min(zoom_level), max(zoom_level) from tiles").fetchone()
+            sample = self._database.execute("select tile_data from tiles limit 1").fetchone()
+            self.credit = self._metadata("attribution")
+        except sqlite3.Error as error:
+            raise _none(path, str(error)) from None
+        if sample is None or not all(isinstance(zoom, int) for zoom in zooms):
+            raise _none(path, "it has no tiles")
+        if not isinstance(sample[0], bytes) or _kind(sample[0]) is None:
+            raise _none(path, "its tiles are no pictures (PNG, JPEG or WebP), which vector tiles are not")
+        self.least, self.most = zooms[0], min(zooms[1], MAX_ZOOM)
+
+    def tile(self, zoom: int, column: int, row: int) -> Tile | None:
+        """The tile, its row counted from the north as browsers do; None where the file has none."""
+        if not 0 <= zoom <= MAX_ZOOM or not (0 <= column < 1 << zoom and 0 <= row < 1 << zoom):
+            return None
+        question = "select tile_data from tiles where zoom_level = ? and tile_column = ? and tile_row = ?"
+        try:
+            with closing(self._database.execute(question, (zoom, column, (1 << zoom) - 1 - row))) as found:
+                line = found.fetchone()
+        except sqlite3.Error:
+            # A page that is damaged is a tile that is missing.
+            return None
+        if line is None or not isinstance(line[0], bytes):
+            return None
+        kind = _kind(line[0])
+        return Tile(line[0], kind) if kind else None
+
+    def close(self) -> None:
+        """Let go of the file."""
+        self._database.close()
+
+    def _metadata(self, name: str) -> str:
+        try:
+            found = self._database.execute("select value from metadata where name = ?", (name,)).fetchone()
+        except sqlite3.Error:
+            return ""
+        return str(found[0]) if found else ""
+
+
+def _kind(data: bytes) -> str | None:
+    return next((kind for start, kind in _KINDS.items() if data.startswith(start)), None)
+
+
+def _none(path: Path, why: str) -> InputFileError:
+    return InputFileError(str(path), f"not an MBTiles file with pictures for a map: {why}")

@@ -1,0 +1,168 @@
+"""`lfield events` and `lfield logs` of a team that runs: in one order, over restarts, ended by a Ctrl-C."""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+import signal
+import time
+from itertools import pairwise
+
+import pytest
+
+from lfield import exits
+
+pytestmark = pytest.mark.process
+
+PROGRAM = """
+resource Post {
+    Mavlink fc;
+    init(string[] arg) { }
+    portal visit(int n) { print("visit " + i2s(n)); }
+}
+coordinator Walker {
+    init(string[] arg) {
+        Post[] posts = findPost();
+        int n = 0;
+        while (true) {
+            posts[n % 2].visit(n);
+            sleep(0.2);
+            n = n + 1;
+        }
+    }
+}
+"""
+DEPLOYMENT = "//Post:p@alpha\n//Post:q@beta\n//Walker:walker@alpha\n"
+
+
+@pytest.fixture(scope="module")
+def walk(shared_lfield):
+    """A team in which a coordinator goes to and fro."""
+    team = shared_lfield.start("up", "--deploy", shared_lfield.mission(PROGRAM, DEPLOYMENT), "--all", "--sim")
+    team.wait_for(r"p: visit 4")
+    team.deployment = shared_lfield.folder / "mission.dL"
+    return team
+
+
+def of(kind: str, whole: list[dict]) -> list[dict]:
+    return [event for event in whole if event["kind"] == kind]
+
+
+def test_all_that_has_happened_comes_in_one_order_with_its_causes(walk, lfield):
+    shown = lfield("events", "--deploy", walk.deployment, "--json", "--no-follow")
+    assert lfield.status(shown) == exits.DONE, shown.said
+    whole = [json.loads(line) for line in shown.out]
+    assert {event["host"] for event in whole} == {"alpha", "beta"}
+    assert all(before["time"] <= after["time"] + 1e-9 for before, after in pairwise(of("came", whole)))
+    places = {(e["host"], e["incarnation"], e["number"]): n for n, e in enumerate(whole)}
+    came = of("came", whole)
+    assert len(came) >= 4
+    for event in came:
+        cause = event["caused_by"]
+        place = places[cause["host"], cause["incarnation"], cause["number"]]
+        assert whole[place]["kind"] == "left"
+        assert place < places[event["host"], event["incarnation"], event["number"]]
+    # On one computer all clocks are one, and what is told of them must be that.
+    assert all(event["within"] < 0.5 for event in whole)
+    assert all(abs(event["time"] - event["at"]) <= event["within"] + 0.01 for event in whole)
+
+
+def test_what_happens_from_now_on_is_told_until_a_ctrl_c(walk, lfield):
+    watcher = lfield.start("events", "--deploy", walk.deployment, "--kinds", "left,came", "--host", "alpha")
+    watcher.wait_for("came  agent=walker")
+    watcher.signal(signal.SIGINT)
+    assert watcher.wait() == exits.INTERRUPTED
+    assert watcher.err == []
+    assert all("  alpha  " in line for line in watcher.out)
+
+
+def test_telemetry_and_hops_make_a_table(walk, lfield):
+    watcher = lfield.start("events", "--deploy", walk.deployment, "--csv", "--rate", "10")
+    watcher.wait_for("came,walker")
+    watcher.wait_for("batteryVoltage")
+    watcher.signal(signal.SIGINT)
+    watcher.wait()
+    rows = list(csv.DictReader(watcher.out))
+    voltages = [float(row["value"]) for row in rows if row["quantity"] == "batteryVoltage"]
+    assert all(10.0 < voltage < 20.0 for voltage in voltages)
+    hops = [row for row in rows if row["kind"] == "came"]
+    assert {(row["of"], row["from"], row["to"]) for row in hops} <= {
+        ("walker", "alpha", "beta"),
+        ("walker", "beta", "alpha"),
+    }
+    assert all(None not in row and None not in row.values() for row in rows)
+
+
+def test_logs_are_those_of_all_hosts_and_end(walk, lfield):
+    shown = lfield("logs", "--deploy", walk.deployment)
+    assert lfield.status(shown) == exits.DONE, shown.said
+    said = [line.partition(" | ")[2] for line in shown.out]
+    visits = [line for line in said if "visit" in line]
+    assert visits[:4] == ["p: visit 0", "q: visit 1", "p: visit 2", "q: visit 3"]
+    assert any("is up on" in line for line in said)
+
+
+def test_a_reader_that_leaves_ends_it_quietly(walk, lfield):
+    reading, writing = os.pipe()
+    watcher = lfield.start("logs", "-f", "--deploy", walk.deployment, stdout=writing)
+    os.close(writing)
+    assert os.read(reading, 10)
+    os.close(reading)
+    assert watcher.wait() == exits.INPUT_OUTPUT
+    assert watcher.err == []
+
+
+def nth(watcher, text: str, count: int) -> None:
+    """Wait until a text was said so often."""
+    end = time.monotonic() + 60.0
+    while len([line for line in watcher.out if text in line]) < count:
+        assert time.monotonic() < end, watcher.said
+        time.sleep(0.02)
+
+
+def test_a_host_that_is_killed_and_started_again_is_told_and_followed_on(lfield):
+    deployment = lfield.mission(PROGRAM, DEPLOYMENT)
+    maps = lfield.maps(["alpha", "beta"])
+    words = ("up", "--deploy", deployment, *maps, "--sim")
+    alpha = lfield.start(*words, "--host", "alpha")
+    beta = lfield.start(*words, "--host", "beta")
+    watcher = lfield.start("logs", "-f", "--deploy", deployment, *maps)
+    watcher.wait_for(r"alpha \| p: visit")
+    watcher.wait_for(r"beta \| q: visit")
+    beta.signal(signal.SIGKILL)
+    watcher.wait_for("beta: not heard: ")
+    again = lfield.start(*words, "--host", "beta")
+    watcher.wait_for("beta: it is heard again")
+    watcher.wait_for("beta: it was started again")
+    again.wait_for("is up on")
+    nth(watcher, " beta | beta is up on", 2)
+    watcher.signal(signal.SIGINT)
+    assert watcher.wait() == exits.INTERRUPTED
+    assert alpha.popen.poll() is None
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (["--kinds", "cane"], "there are no events of kind 'cane' here"),
+        (["--csv", "--kinds", "latched"], "there are no events of kind 'latched' here, but measured, left"),
+        (["--host", "gamma"], "there is no host 'gamma': there is alpha and beta"),
+        (["--since", "-1"], "--since"),
+        (["--rate", "50"], "telemetry is told from 0 to 20 times a second"),
+        (["--rate", "nan"], "telemetry is told from 0 to 20 times a second"),
+        (["--json", "--csv"], "not allowed with argument"),
+    ],
+)
+def test_words_that_make_no_sense_are_told(words, told, walk, here):
+    said = here("events", "--deploy", walk.deployment, *words)
+    assert said.status == exits.USAGE
+    assert told in "\n".join(said.err)
+
+
+def test_nobody_there_is_a_status(lfield, here):
+    deployment = lfield.mission(PROGRAM, DEPLOYMENT)
+    said = here("logs", "--deploy", deployment, *lfield.maps(["alpha", "beta"]))
+    assert said.status == exits.UNAVAILABLE
+    assert said.out == []
+    assert [line.split(":")[0] for line in said.err] == ["alpha", "beta"]

@@ -1,0 +1,142 @@
+"""`lfield watch` on a team that flies, in a real browser: what a person does with it, and whom it refuses."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sqlite3
+from collections.abc import Iterator
+
+import pytest
+from real_browser import Browser, needs_browser
+
+pytestmark = pytest.mark.process
+
+#: Two copters in circles, and somebody who goes from one to the other.
+PROGRAM = """
+resource Copter {
+    Mavlink fc;
+    init(string[] arg) { }
+    portal up() { fc.arm(); fc.takeoff(3.0); }
+    portal fly(real north, real east) { fc.goTo(north, east, -3.0); }
+}
+coordinator Pair {
+    init(string[] arg) {
+        Copter lead = findCopter("lead");
+        Copter wing = findCopter("wing");
+        together { lead.up(); wing.up(); }
+        print("both fly");
+        while (true) {
+            together { lead.fly(20.0, 5.0); wing.fly(-20.0, -5.0); }
+            together { lead.fly(5.0, 20.0); wing.fly(-5.0, -20.0); }
+        }
+    }
+}
+"""
+DEPLOYMENT = "//Copter:lead@alpha\n//Copter:wing@bravo\n//Pair:pilot@alpha\n"
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    made = Browser()
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def team(lfield, alone):
+    """The processes of a team that flies, and of the page that shows it."""
+    deployment = lfield.mission(PROGRAM, DEPLOYMENT)
+    lfield.start("up", "--deploy", deployment, "--all", "--sim", env=alone).wait_for("both fly")
+    page = lfield.start("watch", "--deploy", deployment, env=alone)
+    return page.wait_for(r"http://127\.0\.0\.1:\d+/\?token=\S+")[0], page
+
+
+@needs_browser
+@pytest.mark.browser
+def test_two_copters_move_and_stop_and_a_host_dies(browser, lfield, team):
+    link, page = team
+    browser.open(link)
+    for agent in ("lead", "wing"):
+        browser.wait(lambda agent=agent: "GUIDED" in browser.text(f"vehicle-{agent}"))
+        place = browser.text(f"place-{agent}")
+        browser.wait(lambda agent=agent, place=place: browser.text(f"place-{agent}") != place)
+    browser.says("coordinator-pilot", "mission.L:")
+    browser.says("coordinator-pilot", "→")
+    browser.says("state", "2 of 2 hosts linked")
+
+    browser.thing("stop").click()
+    browser.says("confirmed-lead.fc", "safe")
+    browser.says("confirmed-wing.fc", "safe")
+    browser.says("halt", "every device is safe")
+    browser.says("latch-lead-fc", "at rest")
+    browser.says("log", "on the page of lfield watch")
+
+    os.kill(lfield.child("bravo"), signal.SIGKILL)
+    browser.says("host-bravo", "last heard")
+    browser.wait(lambda: "old" in browser.thing("vehicle-wing").get_attribute("class"))
+    assert "old" not in browser.thing("vehicle-lead").get_attribute("class")
+    browser.says("host-alpha", "misses bravo")
+    assert browser.asked_hosts() == {link.removeprefix("http://").partition("/")[0]}
+    assert browser.errors == []
+
+    page.signal(signal.SIGINT)
+    assert page.wait() == 130, page.said
+    assert page.err == []
+    browser.says("trouble", "what it shows is old")
+
+
+@needs_browser
+@pytest.mark.browser
+def test_a_question_is_answered_as_by_the_command(browser, team):
+    link, _ = team
+    browser.open(link)
+    browser.thing("query").send_keys("Lift where payload >= 2.0\n")
+    browser.says("answer", "nobody can")
+    browser.thing("query").clear()
+    browser.thing("query").send_keys("Lift where payloud >= 2.0\n")
+    browser.says("answer", "payloud")
+
+
+def other_file(folder):
+    sqlite3.connect(folder / "birds.db").execute("create table birds (name)").connection.close()
+    return folder / "birds.db"
+
+
+def test_a_background_that_is_none_is_refused_with_a_sentence(here, lfield):
+    deployment = lfield.mission(PROGRAM, DEPLOYMENT)
+    for file in (lfield.folder / "missing.mbtiles", deployment, other_file(lfield.folder)):
+        said = here("watch", "--deploy", deployment, "--tiles", file)
+        assert said.status == 66
+        assert f"cannot read {file}: " in said.err[-1]
+
+
+@pytest.mark.parametrize("port", ["0", "65536", "-1", "http"])
+def test_a_port_that_is_none_is_refused(here, lfield, port):
+    said = here("watch", "--deploy", lfield.mission(PROGRAM, DEPLOYMENT), f"--port={port}")
+    assert said.status == 64
+    assert "a port is a number from 1 to 65535" in said.err[-1]
+
+
+def test_a_port_that_is_taken_is_refused(here, lfield):
+    import socket
+
+    with socket.create_server(("127.0.0.1", 0)) as other:
+        port = other.getsockname()[1]
+        said = here("watch", "--deploy", lfield.mission(PROGRAM, DEPLOYMENT), "--port", port)
+    assert said.status == 69
+    assert "address already in use" in said.err[-1]
+
+
+def test_without_nicegui_the_sentence_says_what_to_install(here, lfield, monkeypatch):
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    said = here("watch", "--deploy", lfield.mission(PROGRAM, DEPLOYMENT))
+    assert said.status == 69
+    assert "pip install 'lfield[watch]'" in said.err[-1]
+
+
+def test_a_page_of_a_team_that_is_not_there_waits_for_it(lfield, alone):
+    page = lfield.start("watch", "--deploy", lfield.mission(PROGRAM, DEPLOYMENT), env=alone)
+    page.wait_for("open this link: ")
+    page.signal(signal.SIGINT)
+    assert page.wait() == 130, page.said

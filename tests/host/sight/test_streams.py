@@ -1,0 +1,390 @@
+"""States are numbered without a gap and none is lost to whoever reads; telemetry is, and that is counted."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
+
+from lfield.host.sight.budget import Budget
+from lfield.host.sight.stream import Stream, size_of
+from lfield.host.sight.watcher import BATCH_BYTES, LEAST, PATIENCE, QUIET, Watcher
+from lfield.wire.codec import encode
+from lfield.wire.events import Logged, Measured, Skipped
+from lfield.wire.fields import MAX_TEXT
+from lfield.wire.observing import Status
+from lfield.wire.watching import MAX_EVENTS, WINDOW, Watch
+
+LIFE = 77
+STATUS = Status("a", "a:1", 0.5, b"h" * 32, b"h" * 32, [], [], [], [], [])
+
+
+def told(stream, count, text="x"):
+    for _ in range(count):
+        stream.tell(Logged(text), 1.7e9, 1.0)
+
+
+def watched(stream, watch=None, up=0.0):
+    return Watcher(stream, LIFE, watch or Watch(LIFE), up)
+
+
+def batch_of(watcher, up):
+    return watcher.batch(1.7e9 + up, up, lambda: STATUS)
+
+
+def sample(**values):
+    """Telemetry of devices, each a number."""
+    return {name: (value, Measured(name, {"v": value}, 0.1)) for name, value in values.items()}
+
+
+def numbers(batch):
+    return [event.number for event in batch.events]
+
+
+# --- the ring -------------------------------------------------------------------------------------------
+
+
+@given(
+    st.lists(st.integers(0, 300), max_size=60),
+    st.integers(1, 20),
+    st.integers(1, 2000),
+)
+def test_the_ring_has_the_newest_states_and_no_more_than_it_may(sizes, most_events, most_bytes):
+    stream = Stream(most_events, most_bytes)
+    for size in sizes:
+        stream.tell(Logged("x" * size), 1.0, 2.0)
+    kept, total = stream.after(stream.oldest - 1, 10**6, 10**9)
+    assert stream.latest == len(sizes)
+    assert [event.number for event in kept] == list(range(stream.oldest, stream.latest + 1))
+    assert len(kept) <= most_events
+    assert total == sum(map(size_of, kept))
+    assert total <= most_bytes or len(kept) == 1
+
+
+def test_what_is_told_has_its_cause_and_its_times():
+    stream = Stream()
+    first = stream.tell(Logged("stop"), 1.7e9, 5.0)
+    stream.tell(Logged("latched"), 1.7e9 + 1, 6.0, first)
+    _, event = stream.after(0, 9, 999)[0]
+    assert (event.number, event.at, event.up, event.cause) == (2, 1.7e9 + 1, 6.0, 1)
+
+
+# --- where a watcher begins -----------------------------------------------------------------------------
+
+
+def test_who_knows_nothing_begins_now_with_a_snapshot():
+    stream = Stream()
+    told(stream, 5)
+    watcher = watched(stream, Watch())
+    first = batch_of(watcher, 0.0)
+    assert (first.batch, first.after, first.latest, first.events) == (1, 5, 5, [])
+    assert first.snapshot is STATUS
+    told(stream, 2)
+    second = batch_of(watcher, LEAST)
+    assert (numbers(second), second.after, second.snapshot) == ([6, 7], 5, None)
+
+
+def test_who_was_here_goes_on_behind_what_it_has_heard():
+    stream = Stream()
+    told(stream, 5)
+    first = batch_of(watched(stream, Watch(LIFE, 3)), 0.0)
+    assert (numbers(first), first.snapshot, first.lost) == ([4, 5], None, {})
+
+
+def test_who_was_here_and_missed_nothing_is_answered_at_once():
+    stream = Stream()
+    told(stream, 5)
+    first = batch_of(watched(stream, Watch(LIFE, 5)), 0.0)
+    assert (first.batch, first.events, first.after) == (1, [], 5)
+
+
+def test_who_was_with_an_earlier_life_hears_all_of_this_one():
+    stream = Stream()
+    told(stream, 3)
+    watcher = watched(stream, Watch(LIFE - 1, 4000))
+    first, second = batch_of(watcher, 0.0), batch_of(watcher, LEAST)
+    assert (first.snapshot, first.after, first.events) == (STATUS, 0, [])
+    assert numbers(second) == [1, 2, 3]
+
+
+def test_who_has_heard_more_than_was_ever_told_hears_what_comes():
+    stream = Stream()
+    told(stream, 3)
+    watcher = watched(stream, Watch(LIFE, 2**62))
+    assert batch_of(watcher, 0.0).after == 3
+
+
+def test_what_fell_out_of_the_ring_is_counted_and_made_up_by_a_snapshot():
+    stream = Stream(most_events=10)
+    told(stream, 100)
+    watcher = watched(stream, Watch(LIFE, 20))
+    first, second = batch_of(watcher, 0.0), batch_of(watcher, LEAST)
+    assert (first.lost, first.after, first.latest) == ({"state": 70}, 90, 100)
+    assert first.snapshot is STATUS
+    assert (numbers(second), second.lost) == (list(range(91, 101)), {})
+
+
+# --- when, and how much ---------------------------------------------------------------------------------
+
+
+def test_batches_are_not_too_often_and_not_too_seldom():
+    stream = Stream()
+    watcher = watched(stream)
+    assert batch_of(watcher, 0.0) is not None
+    assert watcher.due == pytest.approx(QUIET)
+    told(stream, 1)
+    assert watcher.due == pytest.approx(LEAST)
+    assert batch_of(watcher, LEAST / 2) is None
+    assert numbers(batch_of(watcher, LEAST)) == [1]
+    watcher.seen(2, LEAST)
+    assert batch_of(watcher, LEAST + QUIET / 2) is None
+    assert batch_of(watcher, LEAST + QUIET).events == []
+
+
+def test_a_batch_is_small_however_much_has_happened():
+    stream = Stream()
+    told(stream, 300, "x" * MAX_TEXT)
+    watcher, seen, heard = watched(stream), 0.0, []
+    while len(heard) < 300:
+        batch = batch_of(watcher, seen)
+        assert len(encode(batch)) < 64 << 10
+        heard += numbers(batch)
+        watcher.seen(batch.batch, seen)
+        seen += LEAST
+    assert heard == list(range(1, 301))
+
+
+def test_a_batch_has_no_more_events_than_a_message_may():
+    stream = Stream(most_events=4 * MAX_EVENTS)
+    told(stream, 2 * MAX_EVENTS, "")
+    assert 0 < len(batch_of(watched(stream), 0.0).events) <= MAX_EVENTS
+
+
+def test_who_does_not_read_gets_no_more_than_the_window():
+    stream = Stream()
+    watcher, up, sent = watched(stream), 0.0, 0
+    while up < PATIENCE - 1.0:
+        told(stream, 10, "x" * 2000)
+        sent += batch_of(watcher, up) is not None
+        up += LEAST
+    assert sent == WINDOW
+    assert not watcher.has_gone(up)
+    assert watcher.has_gone(PATIENCE + 1.0)
+    assert watcher.due <= PATIENCE
+
+
+def test_who_reads_again_goes_on_without_a_gap():
+    stream = Stream()
+    watcher = watched(stream)
+    up, heard = 0.0, []
+    for _ in range(30):
+        told(stream, 1)
+        if batch := batch_of(watcher, up):
+            heard += numbers(batch)
+        up += LEAST
+    watcher.seen(WINDOW, up)
+    heard += numbers(batch_of(watcher, up))
+    assert heard == list(range(1, 31))
+
+
+def test_only_what_was_sent_can_be_seen():
+    stream = Stream()
+    watcher = watched(stream)
+    for n in range(WINDOW):
+        told(stream, 1)
+        assert batch_of(watcher, n * LEAST)
+    watcher.seen(WINDOW + 1000, 1.0)
+    told(stream, 1)
+    assert batch_of(watcher, 1.0) is None
+    watcher.seen(1, 1.0)
+    assert batch_of(watcher, 1.0) is not None
+
+
+# --- telemetry ------------------------------------------------------------------------------------------
+
+
+def test_telemetry_comes_at_the_rate_that_was_asked_for_and_only_when_it_changes():
+    watcher = watched(Stream(), Watch(LIFE, 0, 5.0))
+    heard = []
+    for step in range(101):
+        up = step * 0.01
+        if watcher.sample_due <= up + 1e-9:
+            watcher.sample(sample(fc=min(step, 50)), 1.0, up)
+        if batch := batch_of(watcher, up):
+            heard += [event.what.values["v"] for event in batch.events]
+            watcher.seen(batch.batch, up)
+    assert heard == [0, 20, 40, 50]
+
+
+def test_who_wants_no_telemetry_gets_none():
+    watcher = watched(Stream())
+    assert watcher.sample_due is None
+    watcher.sample(sample(fc=1), 1.0, 0.0)
+    assert batch_of(watcher, 0.0).events == []
+
+
+def test_of_telemetry_only_the_newest_is_sent_and_the_rest_is_counted():
+    watcher = watched(Stream(), Watch(LIFE, 0, 20.0))
+    up = 0.0
+    for n in range(WINDOW + 3):
+        watcher.sample(sample(fc=n, gps=0), 1.0, up)
+        batch_of(watcher, up)
+        up += 0.05
+    watcher.seen(WINDOW, up)
+    batch = batch_of(watcher, up)
+    assert [event.what.values["v"] for event in batch.events] == [WINDOW + 2]
+    assert batch.lost == {"measured": 2}
+
+
+def test_states_go_before_telemetry():
+    stream = Stream()
+    watcher = watched(stream, Watch(LIFE, 0, 20.0))
+    told(stream, 60, "x" * 2000)
+    watcher.sample(sample(fc=1), 1.0, 0.0)
+    first, up = batch_of(watcher, 0.0), 0.0
+    assert {event.kind for event in first.events} == {"logged"}
+    kinds = []
+    while "measured" not in kinds:
+        up += LEAST
+        kinds += [event.kind for event in batch_of(watcher, up).events]
+    assert kinds.count("logged") == 60 - len(first.events)
+
+
+# --- all of it ------------------------------------------------------------------------------------------
+
+
+class OneWatcher(RuleBasedStateMachine):
+    """A watcher that reads as it likes, of a host on which things happen."""
+
+    def __init__(self):
+        super().__init__()
+        self.stream = Stream(40, 4000)
+        self.up, self.sent, self.seen = 0.0, [], 0
+        self.heard, self.lost, self.sampled = [], {"state": 0, "measured": 0}, 0
+        self.watcher = watched(self.stream, Watch(LIFE, 0, 20.0))
+
+    @rule(sizes=st.lists(st.integers(0, 1500), max_size=12))
+    def happen(self, sizes):
+        for size in sizes:
+            self.stream.tell(Logged("x" * size), 1.0, self.up)
+
+    @rule(seconds=st.sampled_from([0.01, LEAST, 0.3, QUIET]))
+    def wait(self, seconds):
+        self.up += seconds
+
+    @rule(names=st.sets(st.sampled_from("abc")))
+    def measure(self, names):
+        if self.watcher.sample_due <= self.up:
+            self.sampled += len(names)
+            fresh = {name: self.sampled * 10 + n for n, name in enumerate(sorted(names))}
+            self.watcher.sample(sample(**fresh), 1.0, self.up)
+
+    @rule()
+    def turn(self):
+        batch = batch_of(self.watcher, self.up)
+        if batch is None:
+            return
+        self.sent.append(batch)
+        assert batch.batch == len(self.sent)
+        for kind, count in batch.lost.items():
+            self.lost[kind] += count
+        states = [event for event in batch.events if event.kind == "logged"]
+        assert [e.number for e in states] == list(range(batch.after + 1, batch.after + len(states) + 1))
+        assert batch.after == len([e for e in self.heard if e.kind == "logged"]) + self.lost["state"]
+        assert ("state" in batch.lost) <= (batch.snapshot is not None)
+        assert sum(map(size_of, batch.events)) <= BATCH_BYTES
+        self.heard += batch.events
+
+    @precondition(lambda self: self.seen < len(self.sent))
+    @rule(data=st.data())
+    def read(self, data):
+        self.seen = data.draw(st.integers(self.seen + 1, len(self.sent)))
+        self.watcher.seen(self.seen, self.up)
+
+    @invariant()
+    def no_more_than_the_window_is_on_its_way(self):
+        assert len(self.sent) - self.seen <= WINDOW
+
+    def teardown(self):
+        """Whoever reads at last has every state that was not told to be lost, and all that was measured."""
+        for _ in range(60):
+            self.watcher.seen(len(self.sent), self.up)
+            self.seen = len(self.sent)
+            self.up += LEAST
+            self.turn()
+        states = sum(event.kind == "logged" for event in self.heard)
+        assert states + self.lost["state"] == self.stream.latest
+        measured = sum(event.kind == "measured" for event in self.heard)
+        assert measured + self.lost["measured"] == self.sampled
+
+
+OneWatcher.TestCase.settings = settings(derandomize=True, deadline=None, max_examples=150)
+TestOneWatcher = OneWatcher.TestCase
+
+
+@settings(derandomize=True, deadline=None)
+@given(st.lists(st.tuples(st.integers(0, 40), st.integers(0, 3)), max_size=80))
+def test_who_reads_all_the_time_loses_no_state(steps):
+    """It reads one batch in each step, and no more happens in one than the ring of a host may have."""
+    stream, up, read = Stream(400, 64 << 10), 0.0, []
+    watcher = watched(stream, Watch(LIFE, 0, 20.0))
+    for count, devices in steps:
+        told(stream, count, "x" * 50)
+        watcher.sample(sample(**{"abc"[n]: up for n in range(devices)}), 1.0, up)
+        if batch := batch_of(watcher, up):
+            assert "state" not in batch.lost
+            read += [event.number for event in batch.events if event.kind == "logged"]
+            watcher.seen(batch.batch, up)
+        up += LEAST
+    assert read == list(range(1, len(read) + 1))
+    assert len(read) >= stream.latest - 40
+
+
+# --- what may happen too often --------------------------------------------------------------------------
+
+
+def test_a_budget_tells_all_that_happens_at_a_usual_rate():
+    budget = Budget(20.0, 10.0)
+    for n in range(1000):
+        budget.fill(n * 0.1)
+        assert budget.take("left")
+    assert budget.settle(1000.0) == []
+
+
+def test_beyond_its_rate_it_counts():
+    budget, taken = Budget(20.0, 10.0), 0
+    for n in range(10_000):
+        budget.fill(n * 0.001)
+        taken += budget.take("left")
+    assert taken == pytest.approx(20 + 100, abs=1)
+    assert budget.settle(10.0) == [Skipped("left", 10_000 - taken)]
+    assert budget.settle(12.0) == []
+
+
+@settings(derandomize=True, deadline=None)
+@given(
+    st.lists(st.tuples(st.sampled_from(["left", "came"]), st.floats(0.0, 3.0)), max_size=60),
+    st.floats(0.1, 30.0),
+)
+def test_whatever_was_not_told_is_counted_once(asked, rate):
+    budget, now = Budget(2.0, rate), 0.0
+    taken, counted = 0, 0
+    for kind, pause in asked:
+        now += pause
+        budget.fill(now)
+        taken += budget.take(kind)
+        counted += sum(skipped.count for skipped in budget.settle(now))
+    counted += sum(skipped.count for skipped in budget.settle(now + math.inf))
+    assert taken + counted == len(asked)
+    assert taken <= 2.0 + rate * now + 1e-6
+
+
+def test_a_clock_that_stands_still_fills_nothing():
+    budget = Budget(2.0, 10.0)
+    budget.fill(5.0)
+    assert [budget.take("left") for _ in range(3)] == [True, True, False]
+    budget.fill(5.0)
+    assert not budget.take("left")

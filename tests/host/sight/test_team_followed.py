@@ -1,0 +1,114 @@
+"""A team of real hosts as somebody sees it who follows their streams, on jumping time."""
+
+from __future__ import annotations
+
+import asyncio
+from contextlib import asynccontextmanager
+
+import pytest
+
+from lfield.operator.sight.following.follower import Follower
+from lfield.operator.sight.picture.roll import roll_of
+from lfield.operator.sight.timeline.timeline import Timeline
+from lfield.operator.sight.watched import Watched
+from lfield.simulate.time import LoopClock
+from lfield.wire.watching import Events
+
+PROGRAM = """
+resource Post {
+    int seen;
+    init(string[] arg) { }
+    portal visit(int n) { seen = seen + 1; print("visit " + i2s(n)); }
+}
+coordinator Walker {
+    init(string[] arg) {
+        Post[] posts = findPost();
+        int n = 0;
+        while (n < 6) {
+            posts[n % 2].visit(n);
+            sleep(1.0);
+            n = n + 1;
+        }
+    }
+}
+"""
+TEAM = "//Post:p@alpha\n//Post:q@beta\n//Walker:walker@alpha\n"
+
+
+class Both(Watched):
+    """The picture, and the time line of the same."""
+
+    def __init__(self, roll, clock) -> None:
+        super().__init__(roll, clock)
+        self.timeline, self.now = Timeline(), clock.monotonic
+
+    def told(self, host: str, batch: Events, took: float | None) -> None:
+        super().told(host, batch, took)
+        asked = None if took is None else self.now() - took
+        self.timeline.heard(host, batch.incarnation, batch.up, self.now(), asked)
+        for event in batch.events:
+            self.timeline.add(host, batch.incarnation, event)
+
+
+@asynccontextmanager
+async def followed(fleet, mission, since=None):
+    async def reach(host: str) -> str:
+        return mission.team.reached[host]
+
+    shown = Both(roll_of("team", mission.team, mission), LoopClock())
+    transport = fleet.network.transport("desk")
+    follower = Follower(transport, mission.team.hosts, reach, shown, LoopClock(), since=since, telemetry=5.0)
+    task = asyncio.create_task(follower.run())
+    try:
+        yield shown
+    finally:
+        task.cancel()
+        await asyncio.gather(task, return_exceptions=True)
+
+
+def test_a_walk_is_seen_hop_by_hop_to_its_end(fleet) -> None:
+    async def story(fleet) -> None:
+        mission = fleet.mission(PROGRAM, TEAM)
+        await fleet.up(mission)
+        async with followed(fleet, mission, since=0) as shown:
+            await fleet.until(lambda: shown.seen().agents["walker"].finished)
+            await fleet.until(lambda: len([x for x in shown.seen().log if "visit" in x.text]) == 6)
+            seen = shown.seen()
+            walker = seen.coordinators["walker"]
+            assert (walker.finished, walker.host) == ("done", "beta")
+            assert [(hop.of, hop.to) for hop in walker.trail] == [
+                ("alpha", "beta"),
+                ("beta", "alpha"),
+            ] * 2 + [("alpha", "beta")]
+            assert all(hop.seconds is not None and hop.resource in "pq" for hop in walker.trail)
+            assert walker.hops == 5
+            assert all(host.linked for host in seen.hosts.values())
+            told = shown.timeline.given()
+            times = {(d.host, d.incarnation, d.event.number): n for n, d in enumerate(told)}
+            causes = [(times[d.cause], n) for n, d in enumerate(told) if d.cause in times]
+            assert len(causes) > 20
+            assert all(cause < effect for cause, effect in causes)
+
+    fleet(story)
+
+
+def test_a_host_that_ends_stays_in_the_picture_and_its_next_life_is_another(fleet) -> None:
+    async def story(fleet) -> None:
+        mission = fleet.mission(PROGRAM, TEAM)
+        _, beta = await fleet.up(mission)
+        async with followed(fleet, mission) as shown:
+            await fleet.until(lambda: shown.seen().hosts["beta"].linked)
+            await asyncio.sleep(1.0)
+            await beta.host.stop()
+            await fleet.until(lambda: not shown.seen().hosts["beta"].linked)
+            gone = shown.seen().hosts["beta"]
+            assert gone.ending is not None
+            await asyncio.sleep(30.0)
+            assert shown.seen().hosts["beta"].age == pytest.approx(30.0, abs=2.0)
+            await fleet.up(mission, "beta", first_start=False)
+            await fleet.until(lambda: shown.seen().hosts["beta"].linked)
+            again = shown.seen().hosts["beta"]
+            assert (again.restarts, again.ending) == (1, None)
+            assert "state" not in again.lost
+
+    fleet(story)

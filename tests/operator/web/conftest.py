@@ -1,0 +1,60 @@
+"""A browser for each file of tests, and pages of scripted teams."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+from real_browser import Browser
+
+SCRIPT = Path(__file__).with_name("scripted_team.py")
+
+
+class Page:
+    """The page of a scripted team, served by a process of its own; `do` changes the team."""
+
+    def __init__(self, *words: object) -> None:
+        command = [sys.executable, str(SCRIPT), *map(str, words)]
+        self.process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+        self.link = self.line()
+
+    def line(self) -> str:
+        """The next line that it prints: a link, or which button was pressed."""
+        assert self.process.stdout is not None
+        return self.process.stdout.readline().strip()
+
+    @property
+    def address(self) -> str:
+        return self.link.partition("/?")[0]
+
+    def do(self, words: str) -> None:
+        assert self.process.stdin is not None
+        self.process.stdin.write(f"{words}\n")
+        self.process.stdin.flush()
+
+    def close(self) -> None:
+        self.process.terminate()
+        self.process.communicate(timeout=60)
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    made = Browser()
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def page_of() -> Iterator[Callable[..., Page]]:
+    pages: list[Page] = []
+
+    def begin(*words: object) -> Page:
+        pages.append(Page(*words))
+        return pages[-1]
+
+    yield begin
+    for page in pages:
+        page.close()

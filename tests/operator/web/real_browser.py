@@ -1,0 +1,97 @@
+"""Chromium without a window, cut off from everything but this computer, and what a person does with it."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Callable
+from urllib.parse import urlsplit
+
+import pytest
+from selenium.common.exceptions import StaleElementReferenceException, WebDriverException
+from selenium.webdriver import Chrome, ChromeOptions
+from selenium.webdriver.chrome.service import Service
+from selenium.webdriver.common.by import By
+from selenium.webdriver.remote.webelement import WebElement
+from selenium.webdriver.support.wait import WebDriverWait
+
+CHROMIUM, DRIVER = shutil.which("chromium"), shutil.which("chromedriver")
+#: Seconds for anything that is only a matter of time on a busy machine.
+PATIENCE = 60.0
+
+needs_browser = pytest.mark.skipif(
+    not (CHROMIUM and DRIVER), reason="no browser: apt-get install chromium chromium-driver"
+)
+
+_OPTIONS = (
+    *("--headless=new", "--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage", "--no-first-run"),
+    # What the browser itself would ask for, and where nobody listens for whatever a page asks for.
+    *(
+        "--disable-background-networking",
+        "--disable-component-update",
+        "--disable-sync",
+        "--disable-domain-reliability",
+    ),
+    *("--proxy-server=127.0.0.1:9", "--proxy-bypass-list=127.0.0.1"),
+    "--force-device-scale-factor=1",
+)
+
+
+class Browser:
+    """One window. Things are found by their `data-testid`."""
+
+    def __init__(self) -> None:
+        options = ChromeOptions()
+        options.binary_location = CHROMIUM or ""
+        for option in _OPTIONS:
+            options.add_argument(option)
+        options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
+        self.driver = Chrome(options=options, service=Service(DRIVER))
+        self.driver.set_window_size(1440, 1000)
+
+    def open(self, link: str) -> None:
+        # What was open before asks for nothing any more.
+        self.driver.get("about:blank")
+        self.asked_hosts()
+        self.driver.get(link)
+        self.wait(lambda: self.thing("state").text)
+
+    def all(self, id: str) -> list[WebElement]:
+        return self.driver.find_elements(By.CSS_SELECTOR, f'[data-testid="{id}"]')
+
+    def thing(self, id: str) -> WebElement:
+        self.wait(lambda: self.all(id))
+        return self.all(id)[0]
+
+    def text(self, id: str) -> str:
+        return self.thing(id).text
+
+    def wait(self, told: Callable[[], object]) -> None:
+        """Until it is so; what the page redraws meanwhile is looked at anew."""
+        ignored = (StaleElementReferenceException, IndexError)
+        WebDriverWait(self.driver, PATIENCE, 0.05, ignored).until(lambda _: told())
+
+    def says(self, id: str, words: str) -> None:
+        """Wait until it says so."""
+        try:
+            self.wait(lambda: words in self.text(id))
+        except WebDriverException:
+            pytest.fail(f"{id} does not say {words!r} but {self.text(id)!r}")
+
+    @property
+    def errors(self) -> list[str]:
+        """What the console of the page has complained of since this was asked last."""
+        return [entry["message"] for entry in self.driver.get_log("browser") if entry["level"] == "SEVERE"]
+
+    def asked_hosts(self) -> set[str]:
+        """The hosts that pages have asked for something since this was asked last."""
+        found = set()
+        for entry in self.driver.get_log("performance"):
+            message = json.loads(entry["message"])["message"]
+            url = message["params"].get("request", {}).get("url") or message["params"].get("url", "")
+            if message["method"] in ("Network.requestWillBeSent", "Network.webSocketCreated"):
+                found.add(urlsplit(url).netloc)
+        return found - {""}
+
+    def close(self) -> None:
+        self.driver.quit()

@@ -1,0 +1,292 @@
+"""A team that is not there: what a follower would see of copters in circles and a coordinator between them.
+
+Run as a program it serves the page of that team; words on its stdin change it (`Script.do`).
+"""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import math
+import sys
+import threading
+import time
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from lfield.clock import SystemClock
+from lfield.operator.sight.actions import Answer, Order, Ordered
+from lfield.operator.sight.seen import (
+    AgentSeen,
+    Curve,
+    DeviceSeen,
+    Earth,
+    HopSeen,
+    HostSeen,
+    Local,
+    LogLine,
+    OfferSeen,
+    Reading,
+    Seen,
+    StopSeen,
+    VehicleSeen,
+)
+
+#: Degrees of latitude in a metre.
+METRE = 1 / 111_320.0
+
+
+@dataclass
+class Script:
+    """So many copters, each on a host of its own; `now` is a monotonic clock (s)."""
+
+    count: int
+    earth: bool = False
+    now: object = time.monotonic
+    dead: set[str] = field(default_factory=set)
+    unplaced: set[str] = field(default_factory=set)
+    stubborn: set[str] = field(default_factory=set)
+    barred: dict[Order, str] = field(default_factory=dict)
+    stopped: float | None = None
+    paused: bool = False
+    pressed: list[str] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        self.began = self.now()
+        self.frozen = {}
+        self.lines: list[LogLine] = []
+        self.revision = 0
+
+    # --- what changes it ----------------------------------------------------------------------------------
+
+    def do(self, words: list[str]) -> None:
+        match words:
+            case ["kill", host]:
+                self.dead.add(host)
+                self.frozen[host] = self.now()
+            case ["unplace", agent]:
+                self.unplaced.add(agent)
+            case ["stubborn", agent]:
+                self.stubborn.add(agent)
+            case ["bar", order, *why]:
+                self.barred[order] = " ".join(why)
+            case ["latch", agent]:
+                self.stubborn.discard(agent)
+                self.stopped = self.now()
+            case ["say", host, *text]:
+                self.say(host, " ".join(text))
+
+    def say(self, host: str, text: str, agent: str = "") -> None:
+        self.lines.append(LogLine(len(self.lines) + 1, host, time.time(), 0.0, agent, text))
+
+    # --- Actions ------------------------------------------------------------------------------------------
+
+    async def stop(self, reason: str = "") -> Ordered:
+        self.stopped = self.now()
+        self.pressed.append("stop")
+        print("pressed stop", flush=True)
+        return Ordered("stop")
+
+    async def lift(self) -> Ordered:
+        self.stopped = None
+        print("pressed lift", flush=True)
+        return Ordered("lift")
+
+    async def pause(self) -> Ordered:
+        self.paused = True
+        print("pressed pause", flush=True)
+        return Ordered("pause")
+
+    async def resume(self) -> Ordered:
+        self.paused = False
+        print("pressed resume", flush=True)
+        return Ordered("resume")
+
+    async def query(self, text: str) -> Answer:
+        return Answer(text, mistakes=f'error: nobody knows what "{text}" is')
+
+    # --- Sight --------------------------------------------------------------------------------------------
+
+    def host_of(self, number: int) -> str:
+        return ("alpha", "bravo")[number] if self.count <= 2 else f"robot{number + 1}"
+
+    def agent_of(self, number: int) -> str:
+        return ("lead", "wing")[number] if self.count <= 2 else f"copter{number + 1}"
+
+    def vehicle(self, number: int) -> VehicleSeen:
+        host, agent = self.host_of(number), self.agent_of(number)
+        now = self.frozen.get(host, self.now())
+        seconds = now - self.began
+        angle = 0.25 * seconds * (1 if number % 2 else -1) + number
+        radius = 6.0 + 2.4 * number
+        north, east = radius * math.cos(angle), radius * math.sin(angle)
+        height = 3.0 + number % 7 + 0.4 * math.sin(seconds)
+        latched = self.stopped is not None and agent not in self.stubborn
+        device = DeviceSeen(
+            f"{agent}.fc",
+            agent,
+            host,
+            host not in self.dead,
+            True,
+            "the emergency stop was pressed" if self.stopped is not None else "",
+            latched,
+            "" if latched and self.now() - (self.stopped or 0) > 1.5 else "descends at 0.8 m/s",
+            0.1,
+            {"position": Reading([1.0, 2.0, 3.0], 0.1)},
+        )
+        placed = agent not in self.unplaced
+        return VehicleSeen(
+            agent,
+            "Copter",
+            host,
+            host not in self.dead,
+            Local(north, east, -height) if placed else None,
+            Earth(47.4 + north * METRE, 8.5 + east * METRE / math.cos(math.radians(47.4)))
+            if placed and self.earth
+            else None,
+            0.1,
+            False,
+            (angle + (math.pi / 2 if number % 2 else -math.pi / 2)) % (2 * math.pi),
+            1.5,
+            height,
+            max(0.0, 0.95 - 0.001 * seconds - 0.015 * number),
+            "GUIDED",
+            True,
+            0.15 + self.now() - now,
+            "",
+            (device,),
+        )
+
+    def seen(self) -> Seen:
+        self.revision += 1
+        seconds = self.now() - self.began
+        names = [self.host_of(number) for number in range(self.count)]
+        vehicles = {self.agent_of(number): self.vehicle(number) for number in range(self.count)}
+        live = [name for name in names if name not in self.dead]
+        hosts = {
+            name: HostSeen(
+                name,
+                name in live,
+                "" if name in live else "nobody listens there",
+                0.1 if name in live else self.now() - self.frozen[name],
+                seconds,
+                paused=self.paused,
+                stopped="stop" if self.stopped is not None and name in live else "",
+                reaches=tuple(other for other in live if other != name)[:3] if name in live else (),
+            )
+            for name in names
+        }
+        hop = int(seconds / 2.0)
+        at = [names[(hop + n) % len(names)] for n in range(2)]
+        trail = tuple(
+            HopSeen(
+                n,
+                names[(n - 1) % len(names)],
+                names[n % len(names)],
+                seconds - 2.0 * n,
+                vehicles and next(iter(vehicles)),
+                "fly",
+                620,
+                0.0009,
+            )
+            for n in range(max(1, hop - 4), hop + 1)
+        )
+        pilot = AgentSeen(
+            "pilot",
+            "FirstFlight",
+            "coordinator",
+            at[0],
+            at[0] in live,
+            0.1,
+            1,
+            hop,
+            0,
+            "",
+            "waits",
+            "mission.L",
+            42 + hop % 5,
+            "wing.fly" if hop % 2 else "lead.fly",
+            trail=trail,
+        )
+        if int(seconds) > len([line for line in self.lines if line.agent]):
+            self.say(at[0], f"at {vehicles[self.agent_of(hop % self.count)].height:.1f} m", "pilot")
+        return Seen(
+            "mission",
+            self.revision,
+            hosts,
+            vehicles,
+            {"pilot": pilot},
+            {
+                name: OfferSeen(
+                    name, "Copter", v.host, "" if v.fresh else f"{v.host} is not reached", v.fresh
+                )
+                for name, v in vehicles.items()
+            },
+            self.stop_seen(vehicles, hosts),
+            tuple(self.lines),
+        )
+
+    def stop_seen(self, vehicles: dict[str, VehicleSeen], hosts: dict[str, HostSeen]) -> StopSeen:
+        if self.stopped is None:
+            return StopSeen()
+        devices = [device for vehicle in vehicles.values() for device in vehicle.devices if device.fresh]
+        return StopSeen(
+            "the emergency stop was pressed on the page",
+            "anna",
+            self.now() - self.stopped,
+            tuple(name for name, host in hosts.items() if host.stopped),
+            tuple(device.name for device in devices if device.confirmed),
+            {device.name: "it has not answered" for device in devices if not device.confirmed},
+            {name: host.trouble for name, host in hosts.items() if not host.linked},
+        )
+
+    def curves(self) -> tuple[Curve, ...]:
+        seconds = self.now() - self.began
+        times = [-600 + 5 * n for n in range(121) if -600 + 5 * n >= -seconds - 300]
+        made = []
+        for number in range(self.count):
+            agent = self.agent_of(number)
+            made.append(
+                Curve(
+                    "height", agent, tuple((t, 3 + number % 7 + math.sin((seconds + t) / 9)) for t in times)
+                )
+            )
+            made.append(
+                Curve(
+                    "battery",
+                    agent,
+                    tuple((t, 0.9 - 0.0005 * (seconds + t + 600) - 0.01 * number) for t in times),
+                )
+            )
+            made.append(
+                Curve("link", agent, tuple((t, 0.1 + 0.1 * abs(math.sin(t * (number + 1)))) for t in times))
+            )
+        made.append(Curve("hops", "pilot", tuple((t, 30 + 4 * math.sin(t / 20)) for t in times)))
+        return tuple(made)
+
+
+async def main() -> None:
+    from lfield.operator.web.server import Served, listening, serve
+    from lfield.operator.web.tiles import Tiles
+
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--count", type=int, default=2)
+    parser.add_argument("--earth", action="store_true")
+    parser.add_argument("--tiles", type=Path)
+    parser.add_argument("--port", type=int, default=0)
+    args = parser.parse_args()
+    script = Script(args.count, args.earth)
+    loop = asyncio.get_running_loop()
+
+    def read() -> None:
+        for line in sys.stdin:
+            loop.call_soon_threadsafe(script.do, line.split())
+
+    threading.Thread(target=read, daemon=True).start()
+    tiles = Tiles(args.tiles) if args.tiles else None
+    served = Served("first-flight", script, script, SystemClock(), tiles)
+    await serve(served, listening(args.port), lambda link: print(link, flush=True))
+
+
+if __name__ == "__main__":
+    asyncio.run(main())

@@ -1,0 +1,42 @@
+"""What came of a question or an order, as the page reads it."""
+
+from __future__ import annotations
+
+import json
+
+from lfield.capability.model import Primitive
+from lfield.capability.offer import Fact, Offer, Refusal
+from lfield.capability.reading.reader import read_registry
+from lfield.operator.sight.actions import Answer, Found, Ordered
+from lfield.operator.web.answers import answered, ordered
+
+
+def test_offers_have_units_and_refusals_their_reasons():
+    arm = Offer("Grip", "direct", "grip", "arm1", "alpha", 1.0, {"payload": Fact(2.5)})
+    copter = Offer(
+        "Lift", "direct", "lift", "lead", "bravo", 0.25, {"payload": Fact(0.5), "tools": Fact("winch")}
+    )
+    both = Offer(
+        "Lift", "composed", "w", "arm1+lead", "alpha+bravo", 3.0, {}, {"w_grip": arm}, "grip-and-climb"
+    )
+    refused = Refusal("rover", ("payload 0.2 < 2.0",))
+    found = Found(primitive(), (copter, both), 2, (refused,), ("only the best",), {"payload": "kg"})
+    told = json.loads(answered(Answer("Lift", (found,), {"charlie": "nobody listens"})))
+    (lift,) = told["found"]
+    first, second = lift["offers"]
+    assert first["facts"] == ["payload 0.5 kg", "tools winch"]
+    assert (first["how"], first["score"]) == ("direct", 0.8)
+    assert second["how"] == "by grip-and-climb"
+    assert second["parts"] == ["arm1 at alpha: Grip"]
+    assert lift["refusals"] == "rover: payload 0.2 < 2.0"
+    assert told["unheard"] == {"charlie": "nobody listens"}
+
+
+def primitive() -> Primitive:
+    return read_registry().primitives["Lift"]
+
+
+def test_an_order_tells_whether_all_is_well():
+    assert json.loads(ordered(Ordered("stop", ("lead.fc",))))["well"] is True
+    told = json.loads(ordered(Ordered("stop", ("lead.fc",), {"wing.fc": "no answer"}, {"charlie": "gone"})))
+    assert (told["well"], told["confirmed"], told["unreached"]) == (False, ["lead.fc"], {"charlie": "gone"})

@@ -1,0 +1,168 @@
+"""Who is let in to the page: by a link, once each; and nobody else, whatever they send."""
+
+from __future__ import annotations
+
+import asyncio
+from itertools import count
+from urllib.parse import quote
+
+import pytest
+
+from lfield.operator.web.door import FOREIGN_ADDRESS, FOREIGN_PAGE, MOST_SESSIONS, NO_SESSION, Door, Knock
+from lfield.operator.web.gate import Gate
+
+HERE = "127.0.0.1:8000"
+OURS = f"http://{HERE}"
+
+
+@pytest.fixture
+def door() -> Door:
+    secrets = (f"secret-{number}" for number in count())
+    return Door((HERE,), lambda: next(secrets))
+
+
+def test_a_link_opens_one_browser(door):
+    first = door.token
+    session = door.enter(first)
+    assert session is not None
+    assert door.enter(first) is None
+    assert door.refusal(Knock(HERE, session=session)) == ""
+    assert door.token != first
+    assert door.enter(door.token) not in (None, session)
+
+
+@pytest.mark.parametrize("token", ["", "secret", "sécret-0", "secret-00"])
+def test_other_words_open_nothing(door, token):
+    assert door.enter(token) is None
+    assert door.token == "secret-0"
+
+
+def test_without_a_session_nothing_is_answered(door):
+    assert door.refusal(Knock(HERE)) == NO_SESSION
+    assert door.refusal(Knock(HERE, session="guessed")) == NO_SESSION
+
+
+def test_a_name_that_was_made_to_point_here_is_refused(door):
+    session = door.enter(door.token)
+    assert door.refusal(Knock("evil.example:8000", session=session)) == FOREIGN_ADDRESS
+    assert door.refusal(Knock("127.0.0.1:9000", session=session)) == FOREIGN_ADDRESS
+
+
+@pytest.mark.parametrize("origin", ["", "null", "http://evil.example", "http://127.0.0.1:9000"])
+def test_only_our_page_acts(door, origin):
+    session = door.enter(door.token)
+    assert door.refusal(Knock(HERE, origin, session, acts=True)) == FOREIGN_PAGE
+    assert door.refusal(Knock(HERE, OURS, session, acts=True)) == ""
+
+
+def test_of_too_many_browsers_the_first_goes(door):
+    sessions = [door.enter(door.token) for _ in range(MOST_SESSIONS + 1)]
+    assert door.refusal(Knock(HERE, session=sessions[0])) == NO_SESSION
+    assert all(not door.refusal(Knock(HERE, session=session)) for session in sessions[1:])
+
+
+# --- the gate in front of an application -----------------------------------------------------------------
+
+
+class Inside:
+    """An application that says what it was asked."""
+
+    def __init__(self) -> None:
+        self.asked: list[str] = []
+
+    async def __call__(self, scope, receive, send) -> None:
+        self.asked.append(scope.get("path", scope["type"]))
+        if scope["type"] == "http":
+            await send({"type": "http.response.start", "status": 200, "headers": []})
+            await send({"type": "http.response.body", "body": b"in"})
+
+
+def knock(gate: Gate, path: str, method: str = "GET", kind: str = "http", **headers: str) -> list[dict]:
+    """What the gate answers."""
+    path, _, query = path.partition("?")
+    given = {"host": HERE, **headers}
+    scope = {
+        "type": kind,
+        "path": path,
+        "method": method,
+        "query_string": query.encode(),
+        "headers": [(name.encode(), value.encode("latin-1")) for name, value in given.items()],
+    }
+    if kind == "websocket":
+        del scope["method"]
+    sent: list[dict] = []
+
+    async def send(message) -> None:
+        sent.append(message)
+
+    async def receive() -> dict:
+        raise AssertionError("nothing is read before somebody is let in")
+
+    asyncio.run(gate(scope, receive, send))
+    return sent
+
+
+@pytest.fixture
+def inside() -> Inside:
+    return Inside()
+
+
+@pytest.fixture
+def gate(inside, door) -> Gate:
+    return Gate(inside, door, "lfield-8000", lambda: None)
+
+
+def entered(gate: Gate, door: Door) -> str:
+    """The cookie of a browser that was let in."""
+    (start, _) = knock(gate, f"/?token={quote(door.token)}")
+    headers = dict(start["headers"])
+    assert (start["status"], headers[b"location"]) == (303, b"/")
+    cookie = headers[b"set-cookie"].decode()
+    assert "HttpOnly" in cookie
+    assert "SameSite=Strict" in cookie
+    return cookie.partition(";")[0]
+
+
+def test_the_link_is_changed_for_a_cookie(gate, door, inside):
+    cookie = entered(gate, door)
+    start, _ = knock(gate, "/look", cookie=cookie)
+    assert start["status"] == 200
+    assert inside.asked == ["/look"]
+
+
+def test_all_that_is_answered_forbids_the_browser_to_ask_others(gate, door):
+    cookie = entered(gate, door)
+    for answer in (knock(gate, "/", cookie=cookie), knock(gate, "/")):
+        policy = dict(answer[0]["headers"])[b"content-security-policy"].decode()
+        assert "default-src 'self'" in policy
+        assert "connect-src 'self'" in policy
+        assert "http:" not in policy
+        assert "*" not in policy
+
+
+@pytest.mark.parametrize(
+    ("path", "method", "headers"),
+    [
+        ("/", "GET", {}),
+        ("/look", "GET", {"cookie": "lfield-8000=guessed"}),
+        ("/look", "GET", {"cookie": '=;;"\\'}),
+        ("/?token=guessed", "GET", {}),
+        ("/_nicegui/3/static/vue.js", "GET", {}),
+        ("/act", "POST", {"origin": OURS}),
+    ],
+)
+def test_strangers_hear_a_sentence_and_nothing_else(gate, inside, path, method, headers):
+    start, body = knock(gate, path, method, **headers)
+    assert start["status"] == 403
+    assert b"'lfield watch'" in body["body"]
+    assert inside.asked == []
+
+
+def test_a_websocket_of_another_page_is_closed(gate, door, inside):
+    cookie = entered(gate, door)
+    for headers in ({}, {"cookie": cookie}, {"cookie": cookie, "origin": "http://127.0.0.1:9000"}):
+        (closed,) = knock(gate, "/_nicegui_ws/", kind="websocket", **headers)
+        assert closed["type"] == "websocket.close"
+    assert inside.asked == []
+    knock(gate, "/_nicegui_ws/", kind="websocket", cookie=cookie, origin=OURS)
+    assert inside.asked == ["/_nicegui_ws/"]

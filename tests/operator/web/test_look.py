@@ -1,0 +1,72 @@
+"""A look at a team: made as often as it may be, and whole for a page that was away."""
+
+from __future__ import annotations
+
+import json
+
+from scripted_team import Script
+
+from lfield.operator.sight.seen import Curve, LogLine
+from lfield.operator.web.look import EVERY, LINES, POINTS, Looks, lines, plots
+
+
+class Time:
+    def __init__(self) -> None:
+        self.now = 100.0
+
+    def __call__(self) -> float:
+        return self.now
+
+
+def looks_of(script: Script, time: Time) -> Looks:
+    return Looks(script, lambda: script.barred, None, time)
+
+
+def test_never_more_than_twenty_a_second_however_many_ask():
+    time = Time()
+    script = Script(2, now=time)
+    looks = looks_of(script, time)
+    for _ in range(1000):
+        looks.look(0)
+        time.now += 0.001
+    assert script.revision <= 1 + 1.0 / EVERY
+
+
+def test_a_page_that_was_asleep_needs_one_look():
+    time = Time()
+    script = Script(2, now=time)
+    looks = looks_of(script, time)
+    before = json.loads(looks.look(0))
+    time.now += 3600.0
+    script.say("alpha", "much has happened")
+    after = json.loads(looks.look(before["log"][-1]["serial"] if before["log"] else 0))
+    assert "much has happened" in [line["text"] for line in after["log"]]
+    assert after["look"]["vehicles"][0]["place"] != before["look"]["vehicles"][0]["place"]
+
+
+def test_what_no_page_shows_is_not_sent():
+    time = Time()
+    vehicle = json.loads(looks_of(Script(1, now=time), time).look(0))["look"]["vehicles"][0]
+    assert vehicle["devices"][0]["readings"] == {}
+    assert vehicle["height"] > 0
+
+
+def test_fifty_vehicles_take_tens_of_kilobytes():
+    time = Time()
+    assert len(looks_of(Script(50, now=time), time).look(0)) < 64_000
+
+
+def test_lines_are_those_that_a_page_does_not_have():
+    log = [LogLine(serial, "alpha", 0.0, 0.0, "", f"line {serial}") for serial in range(5, 1005)]
+    assert [line["serial"] for line in json.loads(lines(log, 1002))] == [1003, 1004]
+    assert json.loads(lines(log, 1004)) == []
+    newest = [line["serial"] for line in json.loads(lines(log, 0))]
+    assert newest == list(range(1005 - LINES, 1005))
+
+
+def test_curves_keep_the_newest_point():
+    curve = Curve("height", "lead", tuple((-float(n), float(n)) for n in range(1000, -1, -1)))
+    (drawn,) = json.loads(plots([curve]))
+    assert len(drawn["points"]) <= POINTS
+    assert drawn["points"][-1] == [0.0, 0.0]
+    assert [point[0] for point in drawn["points"]] == sorted(point[0] for point in drawn["points"])

@@ -1,0 +1,242 @@
+"""What a person sees and does on the page, in a real browser; the team is scripted."""
+
+from __future__ import annotations
+
+import sqlite3
+
+import pytest
+from real_browser import needs_browser
+from selenium.webdriver.common.action_chains import ActionChains
+from selenium.webdriver.common.by import By
+from selenium.webdriver.common.keys import Keys
+
+from lfield.operator.web.door import NO_SESSION, OLD_LINK
+
+pytestmark = [needs_browser, pytest.mark.browser, pytest.mark.process]
+
+
+def test_two_copters_move(browser, page_of):
+    page = page_of()
+    browser.open(page.link)
+    for agent in ("lead", "wing"):
+        row, marker = (
+            browser.text(f"place-{agent}"),
+            browser.thing(f"marker-{agent}").get_attribute("transform"),
+        )
+        browser.wait(lambda agent=agent, row=row: browser.text(f"place-{agent}") != row)
+        browser.wait(
+            lambda agent=agent, marker=marker: (
+                browser.thing(f"marker-{agent}").get_attribute("transform") != marker
+            )
+        )
+    assert "GUIDED" in browser.text("vehicle-lead")
+    browser.says("coordinator-pilot", "mission.L:")
+    browser.says("coordinator-pilot", "waits for")
+    browser.wait(lambda: browser.driver.find_elements(By.CSS_SELECTOR, ".sky path.hop"))
+    assert browser.errors == []
+
+
+def test_nothing_leaves_this_computer(browser, page_of):
+    page = page_of("--earth")
+    browser.open(page.link)
+    browser.thing("plots").find_element(By.TAG_NAME, "summary").click()
+    browser.wait(lambda: browser.thing("plot-height").find_elements(By.TAG_NAME, "canvas"))
+    assert browser.asked_hosts() == {page.address.removeprefix("http://")}
+    assert browser.errors == []
+
+
+def test_stop_is_one_press_and_tells_who_has_confirmed(browser, page_of):
+    page = page_of()
+    page.do("stubborn wing")
+    browser.open(page.link)
+    page.line()
+    browser.thing("stop").click()
+    assert page.line() == "pressed stop"
+    browser.says("confirmed-lead.fc", "safe")
+    browser.says("unconfirmed-wing.fc", "NOT CONFIRMED: it has not answered")
+    browser.says("latch-wing-fc", "not confirmed")
+    browser.says("halt", "1 not confirmed")
+    page.do("latch wing")
+    browser.says("confirmed-wing.fc", "safe")
+    browser.says("halt", "every device is safe")
+    # It keeps telling after the stop.
+    browser.says("latch-lead-fc", "at rest")
+    first = browser.text("place-lead")
+    browser.wait(lambda: browser.text("place-lead") != first)
+
+
+def test_lifting_and_resuming_ask_once_more(browser, page_of):
+    page = page_of()
+    browser.open(page.link)
+    page.line()
+    assert not browser.thing("lift").is_enabled()
+    browser.thing("stop").click()
+    assert page.line() == "pressed stop"
+    browser.wait(lambda: browser.thing("lift").is_enabled())
+    browser.thing("lift").click()
+    browser.thing("no").click()
+    browser.thing("pause").click()
+    assert page.line() == "pressed pause", "a lift that was not meant is not done"
+    browser.says("host-alpha", "paused")
+    browser.thing("resume").click()
+    browser.thing("yes").click()
+    assert page.line() == "pressed resume"
+    browser.thing("lift").click()
+    browser.thing("yes").click()
+    assert page.line() == "pressed lift"
+    browser.wait(lambda: not browser.all("halt"))
+
+
+def test_a_host_that_dies_stays_as_it_was_last_known(browser, page_of):
+    page = page_of()
+    browser.open(page.link)
+    page.do("kill bravo")
+    browser.says("host-bravo", "nobody listens there")
+    browser.wait(lambda: "old" in browser.thing("vehicle-wing").get_attribute("class"))
+    browser.says("host-bravo", "last heard")
+    place, age = browser.text("place-wing"), browser.text("vehicle-wing")
+    browser.wait(lambda: browser.text("vehicle-wing") != age)
+    assert browser.text("place-wing") == place
+    assert "old" not in browser.thing("vehicle-lead").get_attribute("class")
+    browser.thing("stop").click()
+    browser.says("unreached-bravo", "NOT REACHED: nobody listens there")
+
+
+def test_who_may_not_press_a_button_reads_why(browser, page_of):
+    page = page_of()
+    page.do("bar lift your keys let you stop, not operate: ask for --may operate")
+    page.do("bar resume your keys let you stop, not operate: ask for --may operate")
+    browser.open(page.link)
+    browser.wait(lambda: not browser.thing("resume").is_enabled())
+    assert browser.thing("stop").is_enabled()
+    assert "--may operate" in browser.thing("resume").get_attribute("title")
+    browser.says("barred-lift", "your keys let you stop, not operate")
+
+
+def test_on_a_phone_everything_is_below_one_another_and_stop_stays(browser, page_of):
+    page = page_of("--count", 6)
+    size = {"width": 390, "height": 844, "deviceScaleFactor": 1, "mobile": True}
+    browser.driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
+    try:
+        browser.open(page.link)
+        browser.thing("vehicle-copter6")
+        assert browser.driver.execute_script("return document.documentElement.scrollWidth") <= 390
+        for place in ("0", "document.body.scrollHeight"):
+            browser.driver.execute_script(f"window.scrollTo(0, {place})")
+            box = browser.driver.execute_script(
+                "return document.querySelector('[data-testid=stop]').getBoundingClientRect().toJSON()"
+            )
+            assert box["bottom"] <= 844
+            assert box["top"] > 700
+            assert box["width"] > 300
+        browser.thing("stop").click()
+        browser.says("halt", "Stopped")
+    finally:
+        browser.driver.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
+
+
+def test_with_a_keyboard_alone(browser, page_of):
+    page = page_of()
+    browser.open(page.link)
+    page.line()
+
+    def press(*keys: str) -> str:
+        """What has the focus then."""
+        ActionChains(browser.driver).send_keys(*keys).perform()
+        return browser.driver.switch_to.active_element.get_attribute("data-testid") or ""
+
+    assert press(Keys.TAB) == "stop", "it comes first"
+    press(Keys.ENTER)
+    assert page.line() == "pressed stop"
+    browser.wait(lambda: browser.thing("lift").is_enabled())
+    assert press(Keys.TAB) == "pause"
+    assert press(Keys.TAB) == "resume"
+    assert press(Keys.TAB) == "lift"
+    assert press(Keys.ENTER) == "no", "what changes nothing has the focus"
+    press(Keys.ESCAPE)
+    browser.wait(lambda: not browser.thing("no").is_displayed())
+    assert press(Keys.ENTER, Keys.TAB) == "yes"
+    press(Keys.ENTER)
+    assert page.line() == "pressed lift"
+    seen = [press(Keys.TAB) for _ in range(24)]
+    assert "query" in seen
+    assert "stop" in seen, "it goes round, and there is no trap"
+
+
+def test_a_question_that_is_none_is_answered_with_its_mistakes(browser, page_of):
+    browser.open(page_of().link)
+    browser.thing("query").send_keys("Lift whree payload", Keys.ENTER)
+    browser.says("answer", 'nobody knows what "Lift whree payload" is')
+
+
+def test_what_is_printed_is_shown_and_never_run(browser, page_of):
+    page = page_of()
+    browser.open(page.link)
+    page.do("say alpha <img src=x onerror=document.title='run'> {{ 6 * 7 }}")
+    browser.says("log", "<img src=x onerror=document.title='run'> {{ 6 * 7 }}")
+    assert browser.driver.title == "first-flight"
+
+
+def test_a_vehicle_without_a_position_is_in_the_table_alone(browser, page_of):
+    page = page_of()
+    page.do("unplace wing")
+    browser.open(page.link)
+    browser.says("place-wing", "no position")
+    browser.thing("marker-lead")
+    assert browser.all("marker-wing") == []
+
+
+def test_a_background_from_a_file(browser, page_of, tmp_path):
+    picture = bytes.fromhex(
+        "89504e470d0a1a0a0000000d49484452000000010000000108060000001f15c489"
+        "0000000d49444154789c6360606060000000050001a5f645400000000049454e44ae426082"
+    )
+    database = sqlite3.connect(tmp_path / "field.mbtiles")
+    database.execute(
+        "create table tiles (zoom_level integer, tile_column integer, tile_row integer, tile_data blob)"
+    )
+    rows = [(zoom, x, y, picture) for zoom in range(4) for x in range(1 << zoom) for y in range(1 << zoom)]
+    database.executemany("insert into tiles values (?, ?, ?, ?)", rows)
+    database.commit()
+    page = page_of("--earth", "--tiles", tmp_path / "field.mbtiles")
+    browser.open(page.link)
+    browser.wait(lambda: browser.thing("map").find_elements(By.CSS_SELECTOR, "img.leaflet-tile-loaded"))
+    assert browser.asked_hosts() == {page.address.removeprefix("http://")}
+
+
+def test_a_link_opens_one_browser_and_the_next_is_printed(browser, page_of):
+    page = page_of()
+    browser.open(page.link)
+    assert "token" not in browser.driver.current_url
+    second = page.line()
+    assert second != page.link
+    browser.driver.delete_all_cookies()
+    browser.driver.get(page.link)
+    assert OLD_LINK in browser.driver.page_source
+    browser.driver.get(page.address)
+    assert NO_SESSION in browser.driver.page_source
+    browser.open(second)
+
+
+def test_two_pages_watch_at_once(browser, page_of):
+    page = page_of()
+    browser.open(page.link)
+    first = browser.driver.current_window_handle
+    browser.driver.switch_to.new_window("tab")
+    try:
+        browser.open(page.address)
+        browser.thing("stop").click()
+        browser.says("halt", "Stopped")
+    finally:
+        browser.driver.close()
+        browser.driver.switch_to.window(first)
+    browser.says("halt", "Stopped")
+
+
+def test_a_page_that_has_lost_its_server_says_so(browser, page_of):
+    page = page_of()
+    browser.open(page.link)
+    page.close()
+    browser.says("trouble", "what it shows is old")
+    browser.thing("stop").click()
+    browser.says("failed", "lfield estop")

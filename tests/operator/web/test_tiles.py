@@ -1,0 +1,92 @@
+"""Backgrounds from MBTiles files: the tile that was asked for, and a sentence for a file that is none."""
+
+from __future__ import annotations
+
+import sqlite3
+
+import pytest
+
+from lfield.errors import InputFileError
+from lfield.operator.web.tiles import Tiles
+
+PNG = b"\x89PNG\r\n\x1a\n"
+
+
+def made(path, rows, metadata=(("attribution", "a survey"),)):
+    database = sqlite3.connect(path)
+    database.execute(
+        "create table tiles (zoom_level integer, tile_column integer, tile_row integer, tile_data blob)"
+    )
+    database.execute("create table metadata (name text, value text)")
+    database.executemany("insert into tiles values (?, ?, ?, ?)", rows)
+    database.executemany("insert into metadata values (?, ?)", metadata)
+    database.commit()
+    database.close()
+    return path
+
+
+def test_rows_are_counted_from_the_north(tmp_path):
+    tiles = Tiles(made(tmp_path / "a.mbtiles", [(2, 1, 0, PNG + b"south"), (2, 1, 3, PNG + b"north")]))
+    assert tiles.tile(2, 1, 0).data == PNG + b"north"
+    assert tiles.tile(2, 1, 3).data == PNG + b"south"
+    assert tiles.tile(2, 1, 0).kind == "image/png"
+    assert (tiles.least, tiles.most, tiles.credit) == (2, 2, "a survey")
+
+
+@pytest.mark.parametrize(
+    "at", [(2, 0, 0), (3, 1, 0), (-1, 0, 0), (25, 0, 0), (2, 4, 0), (2, 0, -1), (2, 0, 1 << 70)]
+)
+def test_what_is_not_there_is_no_tile(tmp_path, at):
+    assert Tiles(made(tmp_path / "a.mbtiles", [(2, 1, 0, PNG)])).tile(*at) is None
+
+
+def test_what_is_no_picture_is_no_tile(tmp_path):
+    rows = [(1, 0, 1, PNG), (1, 1, 1, b"<script>"), (1, 0, 0, "text")]
+    tiles = Tiles(made(tmp_path / "a.mbtiles", rows))
+    assert [tiles.tile(1, 1, 0), tiles.tile(1, 0, 1)] == [None, None]
+
+
+def test_a_file_is_read_where_it_lies(tmp_path):
+    path = made(tmp_path / "a ?#%.mbtiles", [(0, 0, 0, PNG)])
+    path.chmod(0o444)
+    assert Tiles(path).tile(0, 0, 0) is not None
+    assert [found.name for found in tmp_path.iterdir()] == [path.name]
+
+
+def no_file(folder):
+    return folder / "missing.mbtiles"
+
+
+def text(folder):
+    (folder / "text").write_text("no database " * 200)
+    return folder / "text"
+
+
+def empty(folder):
+    (folder / "empty").write_bytes(b"")
+    return folder / "empty"
+
+
+def other_database(folder):
+    sqlite3.connect(folder / "other").execute("create table birds (name)").connection.close()
+    return folder / "other"
+
+
+def no_rows(folder):
+    return made(folder / "none", [])
+
+
+def vectors(folder):
+    return made(folder / "vectors", [(0, 0, 0, b"\x1f\x8b\x08 compressed")])
+
+
+def words_for_numbers(folder):
+    return made(folder / "words", [("near", "left", "top", PNG)])
+
+
+@pytest.mark.parametrize(
+    "make", [no_file, text, empty, other_database, no_rows, vectors, words_for_numbers, lambda f: f]
+)
+def test_a_file_that_is_none_is_refused_with_a_sentence(tmp_path, make):
+    with pytest.raises(InputFileError, match=r"(no such file|not an MBTiles file)"):
+        Tiles(make(tmp_path))

@@ -1,0 +1,324 @@
+"""What a host tells whoever watches it, in virtual time: hops with causes, latches, every line of its log."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from pathlib import Path
+
+import pytest
+from eyes import PROGRAM, chain, fleet_of, watch
+
+from lfield.wire import events
+from lfield.wire.observing import EmergencyStop, Pause, Status
+from lfield.wire.watching import WINDOW, Seen, Watch
+
+
+def test_a_hop_can_be_followed_from_cause_to_effect_over_two_hosts(tmp_path: Path) -> None:
+    fleet = fleet_of(tmp_path)
+    fleet.run(8.0)
+    alpha, beta = watch(fleet, "alpha"), watch(fleet, "beta")
+    fleet.run(30.0)
+    came = {(e.what.agent, e.what.generation, e.what.sequence): e for e in beta.of(events.Came)}  # type: ignore[union-attr]
+    left = alpha.of(events.Left)
+    assert len(left) > 3
+    for event in left[:-1]:
+        what = event.what
+        assert isinstance(what, events.Left)
+        assert (what.to, what.resource, what.portal) == ("beta", "q", "climb")
+        there = came[what.agent, what.generation, what.sequence].what
+        assert isinstance(there, events.Came)
+        assert (there.of, there.size) == ("alpha", what.size)
+        assert what.size > 100
+    # What it did here led to its leaving: it came, its portal began, commanded the copter, and ended.
+    last = chain(alpha, left[-2])
+    assert last[:6] == ["printed", "ended", "answered", "asked", "began", "came"]
+    hopped = alpha.of(events.Hopped)
+    known = alpha.by_number()
+    assert all(isinstance(known[event.cause].what, events.Left) for event in hopped if event.cause in known)
+    assert all(0.0 < event.what.seconds < 0.5 for event in hopped if event.cause in known)  # type: ignore[union-attr]
+
+
+def test_portal_calls_and_instructions_have_names_and_durations(tmp_path: Path) -> None:
+    fleet = fleet_of(tmp_path)
+    fleet.run(5.0)
+    eye = watch(fleet, "alpha")
+    fleet.run(10.0)
+    ended = [event.what for event in eye.of(events.Ended)]
+    assert ended
+    for what in ended:
+        assert isinstance(what, events.Ended)
+        assert (what.agent, what.resource, what.portal, what.how) == ("walker", "p", "climb", "done")
+        assert what.seconds > 0.0
+    answered = [event.what for event in eye.of(events.Answered)]
+    assert {(w.agent, w.device, w.instruction, w.error) for w in answered} == {  # type: ignore[union-attr]
+        ("p", "p.fc", "takeoff", "")
+    }
+
+
+def test_every_line_of_log_and_output_is_one_event_and_the_other_way_round(tmp_path: Path) -> None:
+    fleet = fleet_of(tmp_path)
+    fleet.run(0.001)
+    eye = watch(fleet, "alpha", Watch(1))
+    fleet.run(20.0)
+    lines = "".join(text for _, host, text in fleet.log if host == "alpha").splitlines()
+    told = []
+    for event in eye.states:
+        what = event.what
+        if isinstance(what, events.Logged):
+            told.append(what.text)
+        elif isinstance(what, events.Printed):
+            told.append(f"{what.agent}: {what.text}" if what.on == "log" else what.text.rstrip("\n"))
+    assert sorted(told) == sorted(lines)
+    assert len(told) > 10
+
+
+def test_states_are_numbered_without_a_gap_from_the_first_moment(tmp_path: Path) -> None:
+    fleet = fleet_of(tmp_path)
+    fleet.run(6.0)
+    eye = watch(fleet, "alpha", Watch(1, 0, 5.0))
+    fleet.run(6.0)
+    assert eye.batches[0].snapshot is not None
+    numbers = [event.number for event in eye.states]
+    assert numbers == list(range(1, len(numbers) + 1))
+    assert any(isinstance(event.what, events.Started) for event in eye.states)
+    times = [event.up for event in eye.states]
+    assert times == sorted(times)
+
+
+def test_an_emergency_stop_leads_to_the_latches_of_all_devices(tmp_path: Path) -> None:
+    fleet = fleet_of(tmp_path)
+    fleet.run(8.0)
+    eye = watch(fleet, "alpha")
+    fleet.run(1.0)
+    eye.say(EmergencyStop("people on the field"))
+    fleet.run(6.0)
+    (stopped,) = eye.of(events.Stopped)
+    assert stopped.what == events.Stopped("the eye", "people on the field")
+    (latched,) = eye.of(events.Latched)
+    assert latched.cause == stopped.number
+    (confirmed,) = eye.of(events.Confirmed)
+    assert confirmed.cause == latched.number
+    assert chain(eye, eye.of(events.Moving)[-1])[-3:] == ["confirmed", "latched", "stopped"]
+    assert eye.of(events.Moving)[-1].what == events.Moving("p.fc", "")
+    assert 0.0 <= latched.up - stopped.up < 0.2
+    eye.say(EmergencyStop("", lift=True))
+    fleet.run(0.5)
+    assert eye.of(events.Stopped)[-1].what == events.Stopped("the eye", "", lifted=True)
+
+
+def test_a_pause_and_its_end_are_told_with_whoever_said_so(tmp_path: Path) -> None:
+    fleet = fleet_of(tmp_path)
+    fleet.run(8.0)
+    eye = watch(fleet, "alpha")
+    eye.say(Pause())
+    fleet.run(6.0)
+    eye.say(Pause(lift=True))
+    fleet.run(6.0)
+    paused, resumed = eye.of(events.Paused)
+    assert (paused.what, resumed.what) == (events.Paused("the eye"), events.Paused("the eye", lifted=True))
+    assert [e.cause for e in eye.of(events.Latched)] == [paused.number]
+    assert chain(eye, eye.of(events.Released)[0])
+
+
+def test_links_that_break_and_hosts_that_come_again_are_told(tmp_path: Path) -> None:
+    fleet = fleet_of(tmp_path)
+    fleet.run(8.0)
+    eye = watch(fleet, "alpha")
+    fleet.run(0.1)
+    fleet.crash("beta")
+    fleet.run(4.0)
+    assert eye.of(events.Unlinked)[-1].what == events.Unlinked("beta")
+    fleet.boot("beta")
+    fleet.run(6.0)
+    assert eye.of(events.Linked)[-1].what == events.Linked("beta", restarted=True)
+
+
+def test_where_everybody_stands_is_told_as_often_as_was_asked(tmp_path: Path) -> None:
+    fleet = fleet_of(tmp_path)
+    fleet.run(8.0)
+    often, seldom = watch(fleet, "alpha", Watch(telemetry=5.0)), watch(fleet, "alpha", Watch(telemetry=1.0))
+    fleet.run(10.0)
+    standing = [event.what for event in often.of(events.Standing)]
+    walks = [what for what in standing if what.agent == "walker"]  # type: ignore[union-attr]
+    lines = PROGRAM.splitlines()
+    shown = {(lines[w.line - 1].strip(), w.waits) for w in walks if w.line}  # type: ignore[union-attr]
+    assert ("posts[n % 2].climb(i2f(n + 2));", "p.climb") in shown
+    assert ("sleep(0.5);", "") in shown
+    serving = {w.waits for w in standing if w.agent == "p"}  # type: ignore[union-attr]
+    assert "p.fc.takeoff" in serving
+    measured = often.of(events.Measured)
+    assert 40 <= len(measured) <= 51
+    assert {event.what.device for event in measured} == {"p.fc"}  # type: ignore[union-attr]
+    assert 8 <= len(seldom.of(events.Measured)) <= 11
+    gaps = [b.up - a.up for a, b in pairwise(measured)]
+    assert min(gaps) > 0.15
+
+
+def test_a_watcher_that_comes_back_goes_on_where_it_was(tmp_path: Path) -> None:
+    fleet = fleet_of(tmp_path)
+    fleet.run(8.0)
+    first = watch(fleet, "alpha")
+    fleet.run(3.0)
+    first.reads = False
+    last = first.states[-1].number
+    life = first.batches[0].incarnation
+    fleet.run(20.0)
+    second = watch(fleet, "alpha", Watch(life, last))
+    fleet.run(2.0)
+    assert second.batches[0].after == last
+    assert second.batches[0].snapshot is None
+    assert second.states[0].number == last + 1
+    assert not any(batch.lost for batch in second.batches)
+
+
+def test_a_restarted_host_tells_its_whole_life_to_whoever_knew_the_one_before(tmp_path: Path) -> None:
+    fleet = fleet_of(tmp_path)
+    fleet.run(8.0)
+    before = watch(fleet, "alpha")
+    fleet.run(1.0)
+    life = before.batches[0].incarnation
+    fleet.crash("alpha")
+    fleet.boot("alpha")
+    fleet.run(8.0)
+    eye = watch(fleet, "alpha", Watch(life, 5000))
+    fleet.run(1.0)
+    assert eye.batches[0].incarnation != life
+    assert isinstance(eye.batches[0].snapshot, Status)
+    assert eye.states[0].number == 1
+
+
+def test_who_stops_reading_gets_a_window_and_then_an_end(tmp_path: Path) -> None:
+    fleet = fleet_of(tmp_path)
+    fleet.run(8.0)
+    eye = watch(fleet, "alpha", Watch(telemetry=10.0), reads=False)
+    other = watch(fleet, "alpha", Watch(telemetry=10.0))
+    fleet.run(50.0)
+    assert len(eye.batches) == WINDOW
+    assert eye.refused == ""
+    fleet.run(20.0)
+    assert eye.refused == "what it watches was not read for 60 s"
+    assert len(eye.batches) == WINDOW
+    assert len(other.batches) > 600
+    assert not any("state" in batch.lost for batch in other.batches)
+
+
+def test_a_slow_watcher_loses_telemetry_is_told_so_and_loses_no_state(tmp_path: Path) -> None:
+    fleet = fleet_of(tmp_path)
+    fleet.run(8.0)
+    eye = watch(fleet, "alpha", Watch(telemetry=20.0), reads=False)
+    for _ in range(20):
+        fleet.run(2.0)
+        eye.say(Seen(eye.batches[-1].batch))
+    eye.reads = True
+    fleet.run(2.0)
+    lost = [kind for batch in eye.batches for kind in batch.lost]
+    assert {"measured"} <= set(lost) <= events.TELEMETRY
+    numbers = [event.number for event in eye.states]
+    assert numbers == list(range(numbers[0], numbers[0] + len(numbers)))
+
+
+def test_one_more_than_may_watch_is_told_so(tmp_path: Path) -> None:
+    fleet = fleet_of(tmp_path)
+    fleet.run(2.0)
+    eyes = [watch(fleet, "alpha") for _ in range(17)]
+    fleet.run(0.5)
+    assert [eye.refused for eye in eyes] == [*[""] * 16, "16 others watch alpha already"]
+
+
+def test_nobody_keeps_a_host_busy_by_asking_anew(tmp_path: Path) -> None:
+    fleet = fleet_of(tmp_path)
+    fleet.run(2.0)
+    eye = watch(fleet, "alpha")
+    for _ in range(500):
+        eye.say(Watch())
+    assert len(eye.batches) == 1
+    fleet.run(1.0)
+    assert [batch.batch for batch in eye.batches[:2]] == [1, 1]
+    assert len(eye.batches) < 25
+
+
+def test_a_host_that_ends_says_so_and_how_its_devices_came_to_rest(tmp_path: Path) -> None:
+    fleet = fleet_of(tmp_path)
+    fleet.run(8.0)
+    eye = watch(fleet, "alpha")
+    fleet.run(0.2)
+    fleet.stop("alpha")
+    fleet.run(30.0)
+    (ending,) = eye.of(events.Ending)
+    (latched,) = eye.of(events.Latched)
+    assert latched.cause == ending.number
+    assert eye.of(events.Moving)[-1].what == events.Moving("p.fc", "")
+
+
+def test_nothing_is_told_of_portal_calls_before_somebody_watches(tmp_path: Path) -> None:
+    fleet = fleet_of(tmp_path)
+    fleet.run(10.0)
+    core = fleet.lives["alpha"].core
+    assert core.machine.attached.watch is None
+    eye = watch(fleet, "alpha", Watch(1))
+    fleet.run(5.0)
+    assert core.machine.attached.watch is not None
+    began = eye.of(events.Began)
+    assert began
+    assert min(event.up for event in began) > 9.0
+    assert eye.of(events.Left)[0].up < 9.0
+
+
+BUSY = """
+resource Post { init(string[] arg) { } portal look() { } }
+coordinator Walker {
+    init(string[] arg) {
+        Post[] posts = findPost();
+        for (int n = 0; n < 3000; n = n + 1) { posts[0].look(); }
+        for (int n = 0; n < 3000; n = n + 1) { print(i2s(n)); }
+        sleep(10.0);
+    }
+}
+"""
+
+
+def test_what_happens_too_often_is_counted(tmp_path: Path) -> None:
+    fleet = fleet_of(tmp_path, BUSY, "//Post:p@alpha\n//Walker:walker@alpha\n")
+    fleet.run(0.001)
+    eye = watch(fleet, "alpha", Watch(1))
+    fleet.run(12.0)
+    skipped: dict[str, int] = {}
+    for event in eye.of(events.Skipped):
+        what = event.what
+        assert isinstance(what, events.Skipped)
+        skipped[what.skipped] = skipped.get(what.skipped, 0) + what.count
+    assert len(eye.of(events.Began)) + skipped["began"] == 3000
+    assert len(eye.of(events.Ended)) == len(eye.of(events.Began))
+    assert len(eye.of(events.Printed)) + skipped["printed"] == 3000
+    assert not any(batch.lost for batch in eye.batches)
+
+
+def test_what_a_portal_throws_is_told_with_its_end(tmp_path: Path) -> None:
+    program = PROGRAM.replace("fc.takeoff(height);", "int none = 0; print(i2s(1 / none));")
+    fleet = fleet_of(tmp_path, program)
+    fleet.run(0.001)
+    eye = watch(fleet, "alpha", Watch(1))
+    fleet.run(6.0)
+    (ended,) = eye.of(events.Ended)
+    assert isinstance(ended.what, events.Ended)
+    assert (ended.what.how, ended.what.detail) == ("thrown", "ArithmeticException: division by zero")
+    (finished,) = eye.of(events.Finished)
+    assert isinstance(finished.what, events.Finished)
+    assert finished.what.how == "died"
+    assert finished.what.detail.startswith("ArithmeticException")
+    assert chain(eye, finished)[:2] == ["ended", "began"]
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_run_is_the_same_whether_or_not_it_is_watched(tmp_path: Path, seed: int) -> None:
+    """A watcher changes nothing of what the team does: not one line, nor when."""
+
+    def logged(*, watched: bool) -> list[tuple[str, str]]:
+        fleet = fleet_of(tmp_path, seed=seed)
+        fleet.run(2.0)
+        if watched:
+            watch(fleet, "alpha", Watch(telemetry=20.0))
+        fleet.run(15.0)
+        return [(host, text) for _, host, text in fleet.log]
+
+    assert logged(watched=True) == logged(watched=False)

@@ -1,0 +1,137 @@
+"""Events as messages: there and back whatever they tell, by name for JSON, and bounds."""
+
+import json
+import math
+
+import msgspec
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from lfield.errors import WireError
+from lfield.wire import events
+from lfield.wire.codec import decode, encode
+from lfield.wire.events import KINDS, TELEMETRY, Event, as_fields
+from lfield.wire.fields import MAX_TEXT
+from lfield.wire.framing import HEADER_SIZE
+from lfield.wire.observing import Status
+from lfield.wire.watching import MAX_EVENTS, Events, Seen, Watch
+
+REPEATABLE = settings(derandomize=True, deadline=None)
+LEFT = events.Left("Tour:one", 1, 7, "b", "gate", "pass", 1424)
+CAME = events.Came("Tour:one", 1, 7, "a", 1424)
+STATUS = Status("a", "a:1", 0.5, b"h" * 32, b"h" * 32, [], [], [], [], [])
+
+TEXTS = st.text(st.characters(exclude_categories=["Cs"]), min_size=1, max_size=128)
+SECONDS = st.floats(0.0, 1e9)
+BY_TYPE = {
+    "Name": TEXTS,
+    "MaybeName": st.just("") | TEXTS,
+    "Text": TEXTS,
+    "Label": TEXTS,
+    "Count": st.integers(0, 2**63 - 1),
+    "Ordinal": st.integers(0, 2**62),
+    "Age": SECONDS,
+    "Age | None": SECONDS | st.none(),
+    "bool": st.booleans(),
+    "Outcome": st.sampled_from(["done", "died", "lost", "superseded"]),
+    "Literal['log', 'out']": st.sampled_from(["log", "out"]),
+    "Literal['done', 'thrown', 'lost']": st.sampled_from(["done", "thrown", "lost"]),
+    "Annotated[dict[Label, Telemetry], Meta(max_length=1024)]": st.dictionaries(
+        TEXTS, st.booleans() | st.integers(-9, 9) | SECONDS | TEXTS | st.lists(SECONDS, max_size=4)
+    ),
+}
+#: Anything that can be told, made from the fields themselves.
+WHATS = st.one_of(
+    [
+        st.builds(kind, *(BY_TYPE[kind.__annotations__[f].replace('"', "'")] for f in kind.__struct_fields__))
+        for kind in KINDS.values()
+    ]
+)
+EVENTS = st.builds(Event, st.integers(0, 2**62), SECONDS, SECONDS, st.integers(0, 2**62), WHATS)
+
+
+def back(message):
+    frame = encode(message)
+    return decode(frame[HEADER_SIZE - 1], frame[HEADER_SIZE:])
+
+
+def batch(*told, **changes):
+    return msgspec.structs.replace(Events(5, 1, 1.7e9, 2.5, 0, len(told), list(told)), **changes)
+
+
+@REPEATABLE
+@given(st.lists(EVENTS, max_size=8), st.dictionaries(TEXTS, st.integers(0, 2**63 - 1), max_size=4))
+def test_whatever_happened_comes_back(told, lost):
+    message = batch(*told, lost=lost)
+    assert back(message) == message
+
+
+@pytest.mark.parametrize(
+    "message", [Watch(), Watch(2**63 - 1, 2**62, 20.0), Seen(3), batch(), batch(snapshot=STATUS)]
+)
+def test_what_a_watcher_says_and_hears_comes_back(message):
+    assert back(message) == message
+
+
+@REPEATABLE
+@given(EVENTS)
+def test_json_has_every_field_by_its_name(event):
+    told = json.loads(msgspec.json.encode(as_fields(event)))
+    assert KINDS[told["kind"]] is type(event.what)
+    assert told.keys() == {"number", "at", "up", "cause", "kind", *event.what.__struct_fields__}
+
+
+def test_an_event_in_json_reads_well():
+    assert as_fields(Event(9, 1.5e9, 3.25, 8, LEFT)) == {
+        "number": 9,
+        "at": 1.5e9,
+        "up": 3.25,
+        "cause": 8,
+        "kind": "left",
+        "agent": "Tour:one",
+        "generation": 1,
+        "sequence": 7,
+        "to": "b",
+        "resource": "gate",
+        "portal": "pass",
+        "size": 1424,
+    }
+
+
+def test_only_what_is_told_again_and_again_is_telemetry():
+    assert {"measured", "standing"} == TELEMETRY
+    assert KINDS.keys() > TELEMETRY
+
+
+def test_no_kind_has_a_field_with_the_name_of_one_of_all():
+    of_all = {*Event.__struct_fields__, "kind", "host"} - {"what"}
+    for kind in KINDS.values():
+        assert of_all.isdisjoint(kind.__struct_fields__), kind
+
+
+@pytest.mark.parametrize(
+    "message",
+    [
+        Watch(-1),
+        Watch(1, 2**62 + 1),
+        Watch(telemetry=-1.0),
+        Watch(telemetry=math.nan),
+        Watch(telemetry=20.5),
+        Seen(-1),
+        batch(*[Event(1, 1.0, 1.0, 0, CAME)] * (MAX_EVENTS + 1)),
+        batch(Event(-1, 1.0, 1.0, 0, CAME)),
+        batch(Event(1, math.nan, 1.0, 0, CAME)),
+        batch(Event(1, 1.0, -1.0, 0, CAME)),
+        batch(Event(1, 1.0, 1.0, 0, events.Logged("x" * (MAX_TEXT + 1)))),
+        batch(Event(1, 1.0, 1.0, 0, events.Came("", 1, 1, "a", 1))),
+        batch(Event(1, 1.0, 1.0, 0, events.Finished("one", 1, "asleep"))),
+        batch(Event(1, 1.0, 1.0, 0, events.Measured("one.fc", {"at": None}, 0.5))),
+        batch(Event(1, 1.0, 1.0, 0, STATUS)),
+        batch(lost={"left": -1}),
+        batch(now=math.inf),
+    ],
+)
+def test_what_is_over_its_bounds_is_no_message(message):
+    with pytest.raises(WireError):
+        back(message)
