@@ -91,7 +91,7 @@ class HostCore:
         )
         machine.attached.rules = mission.calls
         own = self._hello([])
-        self._hops = hops = Hops(teller, machine, name, self.team.hosts)
+        self._hops = hops = Hops(teller, machine, name, self.team)
         self.coordinators = team = Coordinators(
             mission, own, machine, clock, self._out, unreachable_after, pages, times or {}, hops
         )

@@ -38,6 +38,7 @@ FIGURES = {
     "rankings": "capability.rankings",
     "directory": "capability.directory",
     "traffic": "team.traffic",
+    "events": "team.events",
     "strangers": "team.strangers",
     "leases": "team.leases",
     "recovery": "team.recovery",

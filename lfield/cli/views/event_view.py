@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import json
 import time
 from collections.abc import Iterator
 from typing import Any
@@ -71,7 +72,7 @@ def as_json(told: Dated | Notice) -> str:
     What is no number in JSON (NaN) is null. Of a notice only what was lost is told, as of a kind 'lost'.
     """
     if isinstance(told, Notice):
-        return msgspec.json.encode({"host": told.host, "kind": "lost", "lost": told.lost}).decode()
+        return _json({"host": told.host, "kind": "lost", "lost": told.lost})
     cause = None if told.cause is None else told.cause._asdict()
     whole: dict[str, Any] = {
         "host": told.host,
@@ -81,7 +82,13 @@ def as_json(told: Dated | Notice) -> str:
         "caused_by": cause,
         **as_fields(told.event),
     }
-    return msgspec.json.encode(whole).decode()
+    return _json(whole)
+
+
+def _json(whole: dict[str, Any]) -> str:
+    """In ASCII: a terminal may take other characters for orders."""
+    text = msgspec.json.encode(whole).decode()
+    return text if text.isascii() else json.dumps(msgspec.json.decode(text), separators=(",", ":"))
 
 
 class Csv:
@@ -103,7 +110,7 @@ class Csv:
             yield self._line((*head, *row))
 
     def _line(self, row: tuple[object, ...]) -> str:
-        self._writer.writerow(row)
+        self._writer.writerow(map(_cell, row))
         line = self._buffer.getvalue().removesuffix("\n")
         self._buffer.seek(0)
         self._buffer.truncate()
@@ -137,6 +144,10 @@ def _numbers(name: str, value: Telemetry) -> Iterator[tuple[str, object]]:
         yield from ((f"{name}[{place}]", each) for place, each in enumerate(value))
     else:
         yield name, _truth(value) if isinstance(value, bool) else value
+
+
+def _cell(value: object) -> object:
+    return in_one_line(value) if isinstance(value, str) else value
 
 
 class LogView:

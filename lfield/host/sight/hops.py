@@ -5,12 +5,11 @@ Those of a hop come first, and cost next to nothing where so many hop that not a
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 from msgspec import Struct
 
 from lfield.host.sight.budget import BURST_OF_HOPS
 from lfield.host.sight.teller import Teller
+from lfield.mission.team import Team
 from lfield.mobility import effects as mobile
 from lfield.vm.agent import Agent
 from lfield.vm.machine import Machine
@@ -29,10 +28,11 @@ class _Away(Struct):
 
 
 class Hops:
-    """Tells of the coordinators of the host `here`; `hosts` are those of the deployment."""
+    """Tells of the coordinators of a `team` on its host `here`."""
 
-    def __init__(self, teller: Teller, machine: Machine, here: str, hosts: Sequence[str]) -> None:
-        self._teller, self._machine, self._here, self._hosts = teller, machine, here, hosts
+    def __init__(self, teller: Teller, machine: Machine, here: str, team: Team) -> None:
+        self._teller, self._machine, self._here, self._hosts = teller, machine, here, team.hosts
+        self._known = frozenset(member.id for member in team.coordinators)
         self._budget = teller.budget(BURST_OF_HOPS)
         #: The coordinators that came and do not run yet: from whom, and with which header.
         self._coming: dict[str, tuple[str, Transfer]] = {}
@@ -55,8 +55,9 @@ class Hops:
         self._away[name] = _Away(generation, sequence, self._teller.by(name, what), up)
 
     def arrives(self, host: str, header: Transfer) -> None:
-        """A coordinator came; whether it runs is decided later."""
-        self._coming[header.agent] = host, header
+        """A coordinator came; whether it runs is decided later. Of one that nobody knows nothing is kept."""
+        if header.agent in self._known:
+            self._coming[header.agent] = host, header
 
     def goes(self, name: str, generation: int) -> None:
         """A coordinator that has come runs here, or one that was kept goes on."""

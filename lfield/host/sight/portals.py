@@ -28,6 +28,7 @@ class Portals:
         """No more."""
         if self._teller.detailed:
             self._teller.detailed = False
+            self._teller.forget_calls()
             self._machine.attached.watch, self._before = self._before, None
 
     def began(self, resource: Agent, thread: int, number: int, method: int, caller: str) -> None:

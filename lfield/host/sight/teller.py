@@ -140,6 +140,10 @@ class Teller:
         self._of_agent[resource] = number
         self._calls[call] = _Call(agent, resource, portal, number, up)
 
+    def forget_calls(self) -> None:
+        """The ends of those that are under way will not be told."""
+        self._calls.clear()
+
     def is_told(self, call: int) -> bool:
         """Whether the beginning of a portal call that is under way was told."""
         return call in self._calls

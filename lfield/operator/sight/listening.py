@@ -15,6 +15,7 @@ from pathlib import Path
 from lfield.clock import Clock, SystemClock
 from lfield.operator.addressed import Party, Place
 from lfield.operator.ask import brought, observer, own_keys
+from lfield.operator.sight.following.beside import beside
 from lfield.operator.sight.following.follower import Follower
 from lfield.operator.sight.following.reach import Reach
 from lfield.operator.sight.timeline.clocks import WATCHER
@@ -80,14 +81,16 @@ class Listening:
 
     @property
     def is_complete(self) -> bool:
-        """Whether all that had happened when a host was first heard has come, of each that is heard."""
-        heard = all(self._had[host] >= wanted for host, wanted in self._wanted.items())
-        return heard and all(host in self._wanted or host in self._why for host in self._names)
+        """Whether all that had happened when a host was first heard has come, of each that is heard now."""
+        return all(self._has_told(host) or host in self._why for host in self._names)
+
+    def _has_told(self, host: str) -> bool:
+        return host in self._wanted and self._had[host] >= self._wanted[host]
 
     @property
     def unheard(self) -> Sequence[str]:
-        """The hosts that were never heard."""
-        return [name for host, name in self._names.items() if host not in self._wanted]
+        """The hosts that were never heard, or not to the end of that."""
+        return [name for host, name in self._names.items() if not self._has_told(host)]
 
     def given(self, *, everything: bool = False) -> list[Dated | Notice]:
         """What can be told now; with `everything` without waiting for anything more."""
@@ -121,7 +124,7 @@ class Ears:
 
     @property
     def unheard(self) -> Sequence[str]:
-        """The hosts that were never heard."""
+        """The hosts that were never heard, or not to the end."""
         return [host for part in self._parts for host in part.unheard]
 
 
@@ -139,7 +142,7 @@ async def ears(
 
     `since` and `telemetry` (Hz) as a `Cursor` has them. Raises KeysError for keys that cannot be used.
     """
-    clock, parts, following = SystemClock(), [], []
+    clock, parts, followers = SystemClock(), [], []
     own = own_keys([address for party in parties for address in party.addresses.values()], keys)
     transport, brings = observer(own), brought(own)
     for party in parties:
@@ -150,10 +153,6 @@ async def ears(
             transport, list(called), reach, part, clock, since=since, telemetry=telemetry, brings=brings
         )
         parts.append(part)
-        following.append(asyncio.create_task(follower.run()))
-    try:
+        followers.append(follower.run())
+    async with beside(*followers):
         yield Ears(parts)
-    finally:
-        for task in following:
-            task.cancel()
-        await asyncio.gather(*following, return_exceptions=True)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Awaitable, Callable, Mapping
 from functools import cached_property
 
 from lfield.authority.identity import Identity
@@ -42,11 +42,15 @@ _MESSAGES: Mapping[Order, EmergencyStop | Pause] = {
 }
 
 
+Beside = Callable[[Callable[[str, Answers[Status]], Answer], str, Answers[Status]], Awaitable[Answer]]
+
+
 class Orders:
     """Implements `Actions` for the hosts of a team; each answer is told to `heard` as well.
 
     `keys` are those of this person, None for none. `asked` is what questions are about; where that cannot be
-    had, its error says why. It may take a while, and is only looked for when somebody asks.
+    had, its error says why. It may take a while, and is only looked for when somebody asks: what takes long
+    is done `beside` the loop.
     """
 
     def __init__(
@@ -58,7 +62,9 @@ class Orders:
         asked: Callable[[], Asked],
         keys: Keys | None = None,
         brings: Brought | None = None,
+        beside: Beside = asyncio.to_thread,
     ) -> None:
+        self._beside = beside
         self._transport, self._reach, self._heard = transport, reach, heard
         self._team, self._read, self._keys, self._brings = team, asked, keys, brings
         self._asked: Asked | None = None
@@ -135,7 +141,7 @@ class Orders:
     async def query(self, text: str) -> Answer:
         """See `Actions.query`: as `lfield query --explain` does it, by what the running hosts say now."""
         answers = await ask_all(self._transport, self._reach.addresses, patiently(), self._brings)
-        return await asyncio.to_thread(self._matched, text, answers)
+        return await self._beside(self._matched, text, answers)
 
     def _matched(self, text: str, answers: Answers[Status]) -> Answer:
         try:

@@ -20,6 +20,7 @@ from lfield.operator.addressed import Party
 from lfield.operator.ask import brought, observer, own_keys
 from lfield.operator.query import Asked, read_asked
 from lfield.operator.sight.actions import Actions
+from lfield.operator.sight.following.beside import beside
 from lfield.operator.sight.following.follower import Follower
 from lfield.operator.sight.following.reach import Reach
 from lfield.operator.sight.orders import Orders
@@ -104,10 +105,5 @@ async def watched(
 
     shown.actions = Orders(transport, reach, shown.picture.answered, team, asked, own, brings)
     follower = Follower(transport, reach.hosts, reach, shown, clock, telemetry=RATE, brings=brings)
-    tasks = [asyncio.create_task(follower.run()), asyncio.create_task(shown.tick())]
-    try:
+    async with beside(follower.run(), shown.tick()):
         yield shown
-    finally:
-        for task in tasks:
-            task.cancel()
-        await asyncio.gather(*tasks, return_exceptions=True)

@@ -11,6 +11,8 @@ from sight_script import LIFE, Teller, device, resource, roll, snapshot
 from lfield.driver.frame import Origin, Pose
 from lfield.guard.rest import UNSEEN
 from lfield.mission.bindings import Frames
+from lfield.operator.sight.picture.agents import MOST_AGENTS
+from lfield.operator.sight.picture.devices import MOST_DEVICES
 from lfield.operator.sight.picture.team_picture import Picture
 from lfield.wire.coordinators import Known
 from lfield.wire.events import (
@@ -408,3 +410,11 @@ def test_where_a_coordinator_stands_as_before_is_not_told_again_and_known_all_th
     story.tell("beta", Left("boss", 1, 5, "alpha", "one", "lift", 900))
     story.tell("alpha", Came("boss", 1, 5, "beta", 900))
     assert story.seen.agents["boss"].line == 12
+
+
+def test_a_host_that_names_more_than_there_can_be_fills_no_memory() -> None:
+    story = Story()
+    for number in range(MOST_AGENTS + 50):
+        story.tell("alpha", Started(f"a{number}", 1), Measured(f"a{number}.fc", {}, 0.0))
+    assert len(story.seen.agents) == MOST_AGENTS
+    assert len(story.seen.vehicles) == MOST_DEVICES

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lfield.operator.sight.timeline.clocks import DRIFT, Clocks, Life
-from lfield.operator.sight.timeline.timeline import Cause, Dated, Timeline, hop_of
+from lfield.operator.sight.timeline.timeline import MOST_WAITING, Cause, Dated, Timeline, hop_of
 from lfield.wire.events import Came, Event, Hopped, Left, Linked
 
 YEAR_2024 = 1.7e9
@@ -196,3 +196,22 @@ def test_hosts_that_contradict_one_another_are_told_all_the_same() -> None:
         timeline.add(host, 1, Event(1, YEAR_2024, 1.0, 0, Came("boss", 1, first, "x", 9)))
         timeline.add(host, 1, Event(2, YEAR_2024, 2.0, 0, Left("boss", 1, then, "x", "", "", 9)))
     assert len(timeline.given()) == 4
+
+
+def test_a_host_whose_times_never_come_fills_no_memory() -> None:
+    timeline = Timeline()
+    for number in range(1, MOST_WAITING + 3):
+        timeline.add("a", 1, Event(number, 2e11, 5.0, 0, Linked("x")))
+    assert len(timeline.given(YEAR_2024)) == MOST_WAITING + 2
+
+
+def test_lives_that_are_over_are_forgotten_once_they_are_told() -> None:
+    timeline = Timeline()
+    for life in range(1, 50):
+        timeline.add("a", life, Event(1, YEAR_2024, 1.0, 0, Linked("x")))
+        if life % 2:
+            timeline.given()
+    assert [dated.incarnation for dated in timeline.given()] == []
+    timeline.add("a", 51, Event(1, YEAR_2024, 1.0, 0, Linked("x")))
+    timeline.add("a", 52, Event(1, YEAR_2024, 1.0, 0, Linked("x")))
+    assert [dated.incarnation for dated in timeline.given()] == [51, 52]

@@ -16,6 +16,8 @@ from lfield.wire import events
 from lfield.wire.coordinators import Known
 from lfield.wire.observing import AgentStatus
 
+#: A host may name whomever it likes: of so many agents is told.
+MOST_AGENTS = 4096
 #: So many hops of each coordinator are shown.
 TRAIL = 12
 #: What happened longer ago (s) is no matter of hops a minute.
@@ -130,7 +132,7 @@ class Agents:
             return
         match event:
             case events.Left() | events.Came() | events.Hopped() | events.Stayed():
-                self._kinds[event.agent] = "coordinator"
+                self._is_of(event.agent, "coordinator")
                 _hopped(agent, host, event, when, is_past=is_past)
             case events.Standing(_, state, file, line, waits):
                 agent.stood[host] = (state, file, line, waits)
@@ -152,6 +154,10 @@ class Agents:
             case events.Superseded(_, generation, reason):
                 self._finished(agent, host, generation, "superseded", reason, when)
 
+    def _is_of(self, name: str, kind: str) -> None:
+        if name in self._known:
+            self._kinds[name] = kind
+
     def _moves(self, name: str) -> bool:
         return self._kinds.get(name) == "coordinator"
 
@@ -172,11 +178,11 @@ class Agents:
         """What a host knows of all agents. Of coordinators only it says which start and hop it means."""
         here = {told.id for told in agents}
         for copy in known:
-            self._kinds[copy.agent] = "coordinator"
+            self._is_of(copy.agent, "coordinator")
             _copy(self._agent(copy.agent, copy.where or host), host, copy, now)
         for told in agents:
             agent = self._agent(told.id, host)
-            self._kinds[told.id] = told.kind
+            self._is_of(told.id, told.kind)
             if told.kind == "resource":
                 agent.host, agent.when = host, now
             if agent.host == host:
@@ -201,15 +207,19 @@ class Agents:
                     agent.served = 0
 
     def _agent(self, name: str, host: str) -> _Agent:
-        if name not in self._known:
-            self._known[name] = _Agent(Enrolled(name, "", host), host)
-        return self._known[name]
+        agent = self._known.get(name)
+        if agent is None:
+            agent = _Agent(Enrolled(name, "", host), host)
+            if len(self._known) < MOST_AGENTS:
+                self._known[name] = agent
+        return agent
 
     # --- out ------------------------------------------------------------------------------------------
 
     def enrolled(self, name: str) -> Enrolled:
         """Who that is by the files, or by what was heard."""
-        return self._agent(name, "").enrolled
+        agent = self._known.get(name)
+        return agent.enrolled if agent is not None else Enrolled(name, "", "")
 
     def hops_a_minute(self, now: float) -> Mapping[str, float]:
         """How often each coordinator came anywhere within the last minute."""

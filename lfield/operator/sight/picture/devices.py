@@ -14,6 +14,9 @@ from lfield.wire.events import Confirmed, Latched, Measured, Moving, Released
 from lfield.wire.fields import Telemetry
 from lfield.wire.observing import DeviceStatus
 
+#: A host may name whatever it likes: of so many devices is told.
+MOST_DEVICES = 4096
+
 DeviceEvent = Latched | Confirmed | Moving | Released | Measured
 
 
@@ -91,7 +94,9 @@ class Devices:
     def _device(self, name: str, host: str) -> _Device:
         device = self._known.get(name)
         if device is None:
-            device = self._known[name] = _Device(host, None)
+            device = _Device(host, None)
+            if len(self._known) < MOST_DEVICES:
+                self._known[name] = device
         device.host = host
         return device
 

@@ -13,8 +13,8 @@ from typing import NamedTuple
 from lfield.operator.sight.timeline.clocks import WATCHER, Clocks, Life, Placed
 from lfield.wire.events import Came, Event, Hopped, Left
 
-#: So many hops are remembered that nobody has confirmed.
-MOST_HOPS = 1 << 16
+#: So many hops are remembered, and so many events wait for what may have led to them.
+MOST_HOPS = MOST_WAITING = 1 << 16
 
 Hop = tuple[str, int, int]
 
@@ -53,6 +53,8 @@ class _Hop:
 @dataclass(slots=True)
 class _Stream:
     waiting: deque[Event] = field(default_factory=deque)
+    #: When the first of them was, as it was known when it became the first.
+    first: Placed | None = None
     #: The time of the last one that was given out.
     last: float = 0.0
     #: The life of the same host before this one.
@@ -86,8 +88,11 @@ class Timeline:
         life = Life(host, incarnation)
         stream = self._streams.get(life)
         if stream is None:
-            stream = self._streams[life] = _Stream(earlier=self._newest.get(host))
+            earlier = self._newest.get(host)
+            stream = self._streams[life] = _Stream(earlier=earlier)
             self._newest[host] = life
+            if earlier is not None and not self._streams[earlier].waiting:
+                del self._streams[earlier]
         stream.waiting.append(event)
         self.clocks.wall(life, event.up, event.at)
         match event.what:
@@ -126,6 +131,9 @@ class Timeline:
     def given(self, until: float | None = None) -> list[Dated]:
         """What can be told in its order now; with `until` only what happened by that time."""
         found = []
+        if sum(len(stream.waiting) for stream in self._streams.values()) > MOST_WAITING:
+            # A host whose events are of times that never come fills no memory.
+            until = None
         while (dated := self._next(until)) is not None:
             found.append(dated)
         return found
@@ -136,7 +144,7 @@ class Timeline:
         for life, stream in self._streams.items():
             if stream.waiting:
                 event = stream.waiting[0]
-                place = self.clocks.time(life, event.up)
+                place = stream.first = stream.first or self.clocks.time(life, event.up)
                 (held if self._must_wait(stream, event) else free).append((place, life))
         if not free and not held:
             return None
@@ -147,14 +155,17 @@ class Timeline:
         return self._give(life, place.time, place.within)
 
     def _must_wait(self, stream: _Stream, event: Event) -> bool:
-        if stream.earlier is not None and self._streams[stream.earlier].waiting:
+        if stream.earlier in self._streams:
+            # A life that is over goes when all of it was told.
             return True
         key, after = hop_of(event), _FOLLOWS.get(type(event.what))
         return after is not None and key is not None and (after, key) in self._waiting
 
     def _give(self, life: Life, time: float, within: float | None) -> Dated:
         stream = self._streams[life]
-        event = stream.waiting.popleft()
+        event, stream.first = stream.waiting.popleft(), None
+        if not stream.waiting and self._newest[life.host] != life:
+            del self._streams[life]
         key, after = hop_of(event), _FOLLOWS.get(type(event.what))
         no_sooner = stream.last
         if key is not None and after is not None:

@@ -1,0 +1,164 @@
+"""What events cost, for the figure `events`: prints lines of JSON, each a case with its unit and its samples.
+
+Everything is measured in seconds of this processor, or counted; nothing is waited for.
+"""
+
+from __future__ import annotations
+
+import json
+import tempfile
+import time
+from collections import Counter
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from lfield.clock import ManualClock, SystemClock
+from lfield.host.sight.stream import Stream, size_of
+from lfield.host.sight.teller import Teller
+from lfield.host.sight.watcher import LEAST, Sample, Watcher
+from lfield.host.watching.standing import sample
+from lfield.mission.load import load_mission
+from lfield.simulate.fleet import Fleet
+from lfield.wire import events
+from lfield.wire.codec import encode
+from lfield.wire.events import Event, Measured, State
+from lfield.wire.observing import Status
+from lfield.wire.watching import Watch
+
+#: Units of samples, as the harness has them.
+SECONDS, PERCENT, COUNT = "s", "%", "messages"
+#: Vehicles, and how often a second each is told of.
+VEHICLES, RATE = 50, 5.0
+_PROGRAM = "resource Post { Mavlink fc; init(string[] arg) { } }\n"
+#: What happens when a coordinator visits a portal that commands a device, and goes on.
+VISIT: Sequence[State] = (
+    events.Came("Patrol:one", 3, 120, "alpha", 1424),
+    events.Began(240, "Patrol:one", "copter7", "surveyField"),
+    events.Asked(90, "copter7", "copter7.fc", "goTo"),
+    events.Answered(90, "copter7", "copter7.fc", "goTo", 4.125731),
+    events.Printed("copter7", "field 3 of 8 is surveyed"),
+    events.Ended(240, "Patrol:one", "copter7", "surveyField", 4.126102, "done"),
+    events.Left("Patrol:one", 3, 121, "charlie", "copter9", "surveyField", 1436),
+    events.Hopped("Patrol:one", 3, 121, "charlie", 0.001804),
+)
+STATUS = Status("alpha", "a:1", 0.5, b"", b"", [], [], [], [], [])
+
+
+def telemetry(step: int) -> Sample:
+    """How the vehicles are at a step, as a driver of copters tells it."""
+    return {
+        f"device copter{n}.fc": (
+            step,
+            Measured(
+                f"copter{n}.fc",
+                {
+                    "mode": "GUIDED",
+                    "armed": True,
+                    "landed": False,
+                    "position": [10.0 + step, n * 1.5, -20.25],
+                    "velocity": [1.25, 0.5, -0.125],
+                    "heading": 1.0471 + step / 100,
+                    "battery": 0.875,
+                    "latitude": 47.397742 + step / 1e6,
+                    "longitude": 8.545594,
+                },
+                0.125,
+            ),
+        )
+        for n in range(VEHICLES)
+    }
+
+
+def per_call(work: Callable[[], object], count: int, rounds: int = 20) -> list[float]:
+    """Seconds of this processor for each call, in rounds."""
+    taken = []
+    for _ in range(rounds):
+        start = time.process_time()
+        for _ in range(count):
+            work()
+        taken.append((time.process_time() - start) / count)
+    return taken
+
+
+def told(cases: dict[str, tuple[str, list[float]]]) -> None:
+    """A state with its causes, what is sent of it, and its bytes."""
+    teller = Teller(SystemClock())
+    visit = iter(VISIT * 10**6)
+    cases["an event told, nobody watches"] = (
+        SECONDS,
+        per_call(lambda: teller.by("Patrol:one", next(visit)), 4000),
+    )
+    stream = Stream()
+    for _ in range(64):
+        for what in VISIT:
+            stream.tell(what, 1.7e9, 5.0, stream.latest)
+
+    def batch() -> None:
+        made = Watcher(stream, 1, Watch(1), 0.0).batch(1.7e9, 0.0, lambda: STATUS)
+        assert made is not None
+        encode(made)
+
+    cases["an event sent to one watcher"] = SECONDS, [s / 512 for s in per_call(batch, 20)]
+    sizes = [float(size_of(Event(123_456, 1.7e9, 5000.25, 123_400, what))) for what in VISIT]
+    cases["bytes of a state"] = COUNT, sizes
+    measured = [float(size_of(Event(123_456, 1.7e9, 5000.25, 0, what))) for _, what in telemetry(1).values()]
+    cases["bytes of a device's telemetry"] = COUNT, measured
+
+
+def watched(cases: dict[str, tuple[str, list[float]]]) -> None:
+    """A host with 50 copters, looked at and told to one watcher at 5 Hz: part of a processor."""
+    with tempfile.TemporaryDirectory() as folder:
+        (Path(folder) / "mission.L").write_text(_PROGRAM)
+        agents = "".join(f"//Post:copter{n}@alpha\n" for n in range(VEHICLES))
+        (Path(folder) / "mission.dL").write_text(agents)
+        fleet = Fleet(load_mission(Path(folder) / "mission.dL", simulate=True), 1)
+    fleet.run(10.0)
+    host = fleet.lives["alpha"].host
+    watcher, step = Watcher(Stream(), 1, Watch(1, 0, RATE), 0.0), 0
+
+    def turn() -> None:
+        nonlocal step
+        # A little later than asked, as timers are.
+        up = step * (1 / RATE + 1e-6)
+        now = sample(host.core, host.guards, host.clock.monotonic())
+        watcher.sample({key: ((step, version), what) for key, (version, what) in now.items()}, 1.7e9, up)
+        made = watcher.batch(1.7e9, up + LEAST, lambda: STATUS)
+        assert made is not None
+        assert len(made.events) >= VEHICLES
+        encode(made)
+        watcher.seen(step + 1, up)
+        step += 1
+
+    name = f"{VEHICLES} vehicles at {RATE:g} Hz, one watcher"
+    cases[name] = PERCENT, [100 * seconds * RATE for seconds in per_call(turn, 50)]
+
+
+def lost(cases: dict[str, tuple[str, list[float]]]) -> None:
+    """Ten minutes of a watcher that reads a batch every second: by kind what it never hears of."""
+    clock, stream = ManualClock(), Stream()
+    watcher = Watcher(stream, 1, Watch(1, 0, RATE), 0.0)
+    unread, count, step, missing = list[int](), 0, 0, Counter[str]()
+    for tick in range(600 * 20):
+        up = tick * LEAST
+        if tick % 4 == 0:
+            step += 1
+            watcher.sample(telemetry(step), clock.time(), up)
+        if tick % 10 == 0:
+            for what in VISIT:
+                stream.tell(what, clock.time(), up)
+        if tick % 20 == 0 and unread:
+            watcher.seen(unread.pop(0), up)
+        if made := watcher.batch(clock.time(), up, lambda: STATUS):
+            unread.append(made.batch)
+            missing.update(made.lost)
+            count += sum(event.kind not in events.TELEMETRY for event in made.events)
+    cases["states lost, one batch read a second"] = COUNT, [float(missing["state"])]
+    cases["telemetry lost, one batch read a second"] = COUNT, [float(missing["measured"])]
+    cases["states told to it"] = COUNT, [float(count)]
+
+
+if __name__ == "__main__":
+    found: dict[str, tuple[str, list[float]]] = {}
+    for measure in (told, watched, lost):
+        measure(found)
+    print(json.dumps(found))

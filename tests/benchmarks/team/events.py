@@ -1,0 +1,81 @@
+"""What it costs a host to tell what happens: an event, and hops and portal calls while somebody watches."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+
+from harness.checkout import Checkout, Mission
+from harness.figure import Figure, Row
+from harness.paced import Paced
+from harness.processes import Processes
+from harness.samples import Contender, Tick, flat, in_turns, pair_ratios
+from harness.words import TIMES
+
+CALLS, WARM_UP, SIZE = 300, 20, 64
+_HERE = Path(__file__).parent
+HOPS = _HERE.with_name("hops")
+NOBODY, WATCHED = "nobody watches", "both hosts are watched"
+
+
+def _mission(processes: Processes, name: str) -> Mission:
+    words = f"{CALLS}&{WARM_UP}&{SIZE}"
+    agents = {
+        "hop": (
+            f"//Post:near@a?{CALLS // 2}",
+            f"//Post:far@b?{CALLS // 2}",
+            f"//Traveller:traveller@a?{words}",
+        ),
+        "local": ("//Store:store@a", "//Caller:caller@a?10&200&10"),
+    }[name]
+    return Mission(processes.folder(), (HOPS / f"{name}.L").read_text(encoding="utf-8"), agents)
+
+
+def _team(checkout: Checkout, processes: Processes, name: str, *, watched: bool) -> Contender:
+    mission = _mission(processes, name)
+    children = mission.up(checkout, processes)
+    if not watched:
+        return Paced(children)
+    places = [f"{host}={address}" for host, address in mission.addresses.items()]
+    eye = checkout.run(processes, str(_HERE / "watching.py"), *places)
+    assert eye.line() == "watching"
+    return Paced([*children, eye])
+
+
+def _rows(checkout: Checkout, rounds: int, tick: Tick) -> Iterator[Row]:
+    with Processes() as processes:
+        costs = checkout.run(processes, str(_HERE / "event_costs.py")).line(120.0)
+        for case, (unit, samples) in json.loads(costs).items():
+            yield Row(case, "", unit, samples)
+    for name, told in (("hop", "a hop"), ("local", "a local portal call")):
+        yield from _side_by_side(checkout, rounds, tick, name, told)
+
+
+def _side_by_side(checkout: Checkout, rounds: int, tick: Tick, name: str, told: str) -> Iterator[Row]:
+    with Processes() as processes:
+
+        def opener(watched: bool) -> Contender:
+            return _team(checkout, processes, name, watched=watched)
+
+        samples, errors = in_turns(
+            {NOBODY: lambda: opener(False), WATCHED: lambda: opener(True)}, rounds, tick
+        )
+    for case in samples.get(NOBODY, {}):
+        shown = f"{told}: {case}"
+        for who, of_case in samples.items():
+            yield Row(shown, who, samples=flat(of_case[case]))
+            shown = ""
+        yield Row("", "ratio", TIMES, pair_ratios(samples[WATCHED][case], samples[NOBODY][case]))
+    yield from (Row(told, who, error=error) for who, error in errors.items())
+
+
+FIGURE = Figure(
+    "Events: what it costs to tell them, and to be watched",
+    {},
+    rounds=8,
+    own_rows=_rows,
+    notes=(
+        f"rounds of {CALLS} hops, two hosts as processes; the watcher asks for telemetry 5 times a second",
+    ),
+)

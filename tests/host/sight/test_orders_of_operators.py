@@ -1,0 +1,133 @@
+"""What the buttons of a watched team do with real hosts, on jumping time."""
+
+from __future__ import annotations
+
+import asyncio
+from contextlib import asynccontextmanager
+
+from lfield.errors import UsageError
+from lfield.operator.addressed import Party
+from lfield.operator.query import read_asked
+from lfield.operator.sight.following.follower import Follower
+from lfield.operator.sight.following.reach import Reach
+from lfield.operator.sight.orders import Orders
+from lfield.operator.sight.picture.roll import roll_of
+from lfield.operator.sight.watched import Watched
+from lfield.simulate.time import LoopClock
+
+PROGRAM = """
+resource Hoist {
+    init(string[] arg) { while (true) yield(); }
+    portal lift(real height) emit real { return height; }
+    portal lower(real height) emit real { return height; }
+}
+coordinator Boss {
+    init(string[] arg) {
+        Lift[] who = findLift("payload >= 2.0");
+        while (true) sleep(1.0);
+    }
+}
+"""
+TEAM = "//Hoist:arm1@alpha\n//Hoist:arm2@beta\n//Boss:boss@alpha\n"
+CAPABILITIES = """
+registry: 1
+providers: {Hoist: {attributes: {payload: 20.0}, serves: {Lift: {}}}}
+agents: {arm2: {payload: 1.2}}
+"""
+
+
+@asynccontextmanager
+async def operated(fleet, mission, asked=None):
+    party = Party((), mission.team.reached)
+    reach = Reach(party, lambda: [])
+    transport = fleet.network.transport("desk")
+    shown = Watched(roll_of("team", mission.team, mission), LoopClock())
+
+    def ask():
+        if asked is None:
+            return read_asked(fleet.folder / "mission.dL", mission.team)
+        raise UsageError(asked)
+
+    async def at_once(work, *args):
+        return work(*args)
+
+    heard = shown.picture.answered
+    shown.actions = Orders(transport, reach, heard, mission.team, ask, beside=at_once)
+    follower = Follower(transport, reach.hosts, reach, shown, LoopClock())
+    task = asyncio.create_task(follower.run())
+    try:
+        await fleet.until(lambda: all(host.linked for host in shown.seen().hosts.values() if host.host))
+        yield shown
+    finally:
+        task.cancel()
+        await asyncio.gather(task, return_exceptions=True)
+
+
+def operate(fleet, story, asked=None) -> None:
+    async def main(fleet) -> None:
+        mission = fleet.mission(PROGRAM, TEAM, capabilities=CAPABILITIES)
+        hosts = await fleet.up(mission)
+        async with operated(fleet, mission, asked) as shown:
+            await story(fleet, shown, hosts)
+
+    fleet(main)
+
+
+def test_a_stop_is_seen_by_whoever_watches_until_it_is_lifted(fleet) -> None:
+    async def story(fleet, shown, hosts) -> None:
+        done = await shown.actions.stop("a child")
+        assert (done.order, done.well, done.unreached) == ("stop", True, {})
+        await fleet.until(lambda: shown.seen().stop.hosts == ("alpha", "beta"))
+        stop = shown.seen().stop
+        assert stop.reason == "the emergency stop was pressed: a child"
+        assert stop.complete
+        assert (await shown.actions.lift()).well
+        await fleet.until(lambda: not shown.seen().stop.stands)
+
+    operate(fleet, story)
+
+
+def test_a_pause_is_seen_until_it_is_over(fleet) -> None:
+    async def story(fleet, shown, hosts) -> None:
+        assert (await shown.actions.pause()).well
+        await fleet.until(lambda: shown.seen().paused == ("alpha", "beta"))
+        assert (await shown.actions.resume()).well
+        await fleet.until(lambda: shown.seen().paused == ())
+
+    operate(fleet, story)
+
+
+def test_a_host_that_is_gone_is_named_by_a_stop_and_by_the_picture(fleet) -> None:
+    async def story(fleet, shown, hosts) -> None:
+        await hosts[1].host.stop()
+        done = await shown.actions.stop()
+        assert list(done.unreached) == ["beta"]
+        assert not done.well
+        await fleet.until(lambda: shown.seen().stop.stands)
+        stop = shown.seen().stop
+        assert (stop.hosts, list(stop.unreached), stop.complete) == (("alpha",), ["beta"], False)
+
+    operate(fleet, story)
+
+
+def test_a_question_is_answered_as_the_command_does_and_a_wrong_one_drawn(fleet) -> None:
+    async def story(fleet, shown, hosts) -> None:
+        answer = await shown.actions.query("Lift where payload >= 2.0")
+        (found,) = answer.found
+        assert [offer.agent for offer in found.offers] == ["arm1"]
+        assert [refusal.reasons for refusal in found.refusals if refusal.subject == "arm2"] == [
+            ("payload 1.2 < 2.0",)
+        ]
+        wrong = await shown.actions.query("Lift where paylod >= 2.0")
+        assert (wrong.found, "^" in wrong.mistakes, "paylod" in wrong.mistakes) == ((), True, True)
+        assert (await shown.actions.query("Lift where where where")).mistakes
+
+    operate(fleet, story)
+
+
+def test_without_its_files_a_question_says_why_there_is_no_answer(fleet) -> None:
+    async def story(fleet, shown, hosts) -> None:
+        answer = await shown.actions.query("Lift")
+        assert answer.mistakes == "the files are elsewhere"
+
+    operate(fleet, story, asked="the files are elsewhere")

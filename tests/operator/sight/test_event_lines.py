@@ -1,0 +1,100 @@
+"""An event as a line for a person, as JSON and as rows of a table."""
+
+from __future__ import annotations
+
+import json
+import math
+
+import pytest
+
+from lfield.cli.views.event_view import COLUMNS, Csv, LogView, as_json, as_line
+from lfield.operator.sight.listening import Notice
+from lfield.operator.sight.timeline.timeline import Cause, Dated
+from lfield.wire.events import Came, Event, Hopped, Latched, Left, Logged, Measured, Printed, Stayed
+
+
+def dated(what: object, **more: object) -> Dated:
+    event = Event(4, 99.0, 9.0, 3, what)  # type: ignore[arg-type]
+    return Dated("alpha", 7, event, 1.7e9 + 0.5, 0.01, Cause("beta", 8, 2), **more)  # type: ignore[arg-type]
+
+
+def test_a_line_obeys_no_order_of_a_program_to_the_terminal() -> None:
+    line = as_line(dated(Latched("one.fc", "land", "bad \x1b[2J\nreason")))
+    assert "\x1b" not in line
+    assert "\n" not in line
+    assert line.endswith('device=one.fc  state=land  reason="bad \\u{1b}[2J\\nreason"  by=beta:2')
+
+
+def test_json_has_the_event_its_place_and_its_cause() -> None:
+    told = json.loads(as_json(dated(Came("boss", 1, 4, "beta", 900))))
+    assert told == {
+        "host": "alpha",
+        "incarnation": 7,
+        "time": 1.7e9 + 0.5,
+        "within": 0.01,
+        "caused_by": {"host": "beta", "incarnation": 8, "number": 2},
+        "number": 4,
+        "at": 99.0,
+        "up": 9.0,
+        "cause": 3,
+        "kind": "came",
+        "agent": "boss",
+        "generation": 1,
+        "sequence": 4,
+        "of": "beta",
+        "size": 900,
+    }
+
+
+def test_what_is_no_number_is_null_in_json() -> None:
+    told = json.loads(as_json(dated(Measured("one.fc", {"a": math.nan, "b": [math.inf, 1.0]}, 0.0))))
+    assert told["values"] == {"a": None, "b": [None, 1.0]}
+
+
+def test_what_was_lost_is_an_object_too() -> None:
+    told = json.loads(as_json(Notice("alpha", "events were lost", {"state": 2})))
+    assert told == {"host": "alpha", "kind": "lost", "lost": {"state": 2}}
+
+
+@pytest.mark.parametrize(
+    ("what", "rows"),
+    [
+        (Left("boss", 1, 4, "beta", "two", "lift", 900), ["boss,,,1,4,alpha,beta,,900"]),
+        (Came("boss", 1, 4, "beta", 900), ["boss,,,1,4,beta,alpha,,900"]),
+        (Hopped("boss", 1, 4, "beta", 0.25), ["boss,,,1,4,alpha,beta,0.25,"]),
+        (Hopped("boss", 1, 4, "beta", None), ["boss,,,1,4,alpha,beta,,"]),
+        (Stayed("boss", 1, 4, "beta", "X", "y"), ["boss,,,1,4,alpha,beta,,"]),
+        (
+            Measured("one.fc", {"mode": 'a "b", c', "armed": True, "position": [1.0, 2.5]}, 0.0),
+            [
+                'one.fc,mode,"a ""b"", c",,,,,,',
+                "one.fc,armed,true,,,,,,",
+                "one.fc,position[0],1.0,,,,,,",
+                "one.fc,position[1],2.5,,,,,,",
+            ],
+        ),
+        (Latched("one.fc", "land", "x"), []),
+    ],
+)
+def test_a_table_has_hops_and_telemetry(what: object, rows: list[str]) -> None:
+    table = Csv()
+    assert table.header() == ",".join(COLUMNS)
+    head = "1700000000.500000,0.010000,alpha,4,"
+    told = dated(what)
+    assert list(table.rows(told)) == [f"{head}{told.event.kind},{row}" for row in rows]
+
+
+def test_a_log_has_whole_lines_and_who_said_them() -> None:
+    view = LogView()
+    assert list(view.lines(dated(Printed("boss", "half", "out")))) == []
+    (whole,) = view.lines(dated(Printed("boss", " a line\n", "out")))
+    assert whole.endswith(" alpha | boss: half a line")
+    two = list(view.lines(dated(Logged("one\n  two\x07"))))
+    assert [line.partition(" | ")[2] for line in two] == ["one", "  two\\u{7}"]
+
+
+def test_what_a_terminal_would_obey_is_shown_in_json_and_tables_too() -> None:
+    orders = Measured("one.fc", {"mode": "\x9b2J\u202e"}, 0.0)
+    assert "\\u009b2J\\u202e" in as_json(dated(orders))
+    (row,) = Csv().rows(dated(orders))
+    assert "\\u{9b}2J\\u{202e}" in row

@@ -1,0 +1,67 @@
+"""Where hosts are found again that were started again."""
+
+from __future__ import annotations
+
+import asyncio
+from pathlib import Path
+
+import pytest
+
+from lfield.errors import AddressError, NothingRuns
+from lfield.operator.addressed import Party
+from lfield.operator.runs import Note, Run
+from lfield.operator.sight.following.reach import LOOKED_EVERY, Reach
+from lfield.simulate.time import run_jumping
+
+
+def party(name: str, mission: str, *hosts: str) -> Party:
+    addresses = {host: f"unix:/run/{name}/{host}.sock" for host in hosts}
+    note = Note("m.dL", mission * 64, "me", 1, 0.0, 1.0, {host: f"{host}:1" for host in hosts}, {})
+    return Party((Run(Path("/run") / name, note),), addresses)
+
+
+def found(reach: Reach, host: str = "alpha", *, after: float = 0.0) -> str:
+    async def main() -> str:
+        await reach("alpha")
+        await asyncio.sleep(after)
+        return await reach(host)
+
+    return run_jumping(main())
+
+
+@pytest.fixture(autouse=True)
+def _no_threads(monkeypatch) -> None:
+    async def at_once(work, *args):
+        return work(*args)
+
+    monkeypatch.setattr(asyncio, "to_thread", at_once)
+
+
+def test_a_run_is_not_looked_for_as_long_as_it_was_found_a_moment_ago() -> None:
+    reach = Reach(party("m-1", "a", "alpha"), lambda: [party("m-2", "a", "alpha")])
+    assert found(reach, after=LOOKED_EVERY / 2) == "unix:/run/m-1/alpha.sock"
+
+
+def test_another_run_of_the_mission_has_the_hosts_now() -> None:
+    others = [party("n-1", "b", "alpha"), party("m-2", "a", "alpha"), party("m-3", "a", "alpha")]
+    reach = Reach(party("m-1", "a", "alpha"), lambda: others)
+    assert found(reach, after=LOOKED_EVERY) == "unix:/run/m-3/alpha.sock"
+
+
+def test_the_run_that_was_followed_counts_while_it_lives() -> None:
+    both = [party("m-1", "a", "alpha"), party("m-2", "a", "alpha")]
+    assert found(Reach(both[0], lambda: both), after=LOOKED_EVERY) == "unix:/run/m-1/alpha.sock"
+
+
+def test_where_nothing_runs_it_stays_where_it_was() -> None:
+    def look() -> list[Party]:
+        raise NothingRuns("no mission runs here")
+
+    reach = Reach(party("m-1", "a", "alpha"), look)
+    assert found(reach, after=LOOKED_EVERY) == "unix:/run/m-1/alpha.sock"
+
+
+def test_a_host_that_a_mission_has_no_more_is_told() -> None:
+    reach = Reach(party("m-1", "a", "alpha"), lambda: [])
+    with pytest.raises(AddressError, match="has no such host any more"):
+        found(reach, "gamma")

@@ -1,0 +1,199 @@
+"""What is told when hosts, links and coordinators are lost, and of who can be called. In virtual time."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+from eyes import Eye, chain, watch
+from msgspec import structs
+
+from lfield.driver.binding import WithoutPolicy
+from lfield.mission.load import load_mission
+from lfield.mission.mission import Mission
+from lfield.simulate.fleet import Fleet
+from lfield.wire import events
+from lfield.wire.observing import EmergencyStop
+from lfield.wire.watching import Watch
+
+PROGRAM = """
+resource Post {
+    Mavlink fc;
+    init(string[] arg) { }
+    portal climb(real height) { fc.takeoff(height); }
+}
+coordinator Walker {
+    init(string[] arg) {
+        INTERVAL
+        Post[] posts = findPost();
+        int n = 0;
+        while (true) {
+            try { posts[n % posts.length()].climb(5.0); }
+            catch (UnreachableResourceException away) { print("away"); }
+            catch (RestartException told) { print("told"); }
+            catch (DeviceException held) { print("held"); }
+            n = n + 1;
+            sleep(0.2);
+        }
+    }
+}
+"""
+TEAM = "//Post:a@alpha\n//Post:b@bravo\n//Post:c@charlie\n//Walker:walker@alpha\n"
+HOISTS = """
+resource Hoist {
+    Mavlink fc;
+    init(string[] arg) { while (true) yield(); }
+    portal lift(real height) emit real { return height; }
+    portal lower(real height) emit real { return height; }
+}
+coordinator Foreman { init(string[] arg) { Lift[] who = findLift(); sleep(1000.0); } }
+"""
+CAPABILITIES = """
+registry: 1
+providers:
+  Hoist:
+    nominal: {payload: 2.0}
+    live: {battery: fc.battery}
+    serves: {Lift: {}}
+"""
+
+
+def mission(folder: Path, interval: str = "", team: str = TEAM) -> Mission:
+    (folder / "mission.L").write_text(PROGRAM.replace("INTERVAL", interval))
+    (folder / "mission.dL").write_text(team)
+    return load_mission(folder / "mission.dL", simulate=True)
+
+
+def holder(fleet: Fleet, *others: str) -> str:
+    """Let time go on until the coordinator runs on a host that is none of these."""
+    for _ in range(2000):
+        for name, life in fleet.lives.items():
+            agent = life.core.machine.agents.get("walker")
+            if name not in others and agent is not None and not agent.frozen:
+                return name
+        fleet.run(0.05)
+    raise AssertionError("it is nowhere")
+
+
+def test_who_goes_on_with_the_coordinator_of_a_lost_host_says_so(tmp_path: Path) -> None:
+    fleet = Fleet(mission(tmp_path, "heartbeatInterval(3.0);"), 1)
+    fleet.run(20.0)
+    lost = holder(fleet)
+    left = {name: watch(fleet, name) for name in fleet.lives if name != lost}
+    fleet.run(0.2)
+    fleet.lose(lost)
+    fleet.run(60.0)
+    found = [(name, event) for name, eye in left.items() for event in eye.of(events.Recovered)]
+    ((name, recovered),) = found
+    assert isinstance(recovered.what, events.Recovered)
+    agent = fleet.lives[name].core.machine.agents.get("walker")
+    later = left[name].of(events.Came) + left[name].of(events.Left)
+    assert recovered.what.agent == "walker"
+    assert agent is not None or any(event.number > recovered.number for event in later)
+    assert any(
+        event.what == events.Unlinked(lost) for eye in left.values() for event in eye.of(events.Unlinked)
+    )
+
+
+def test_a_coordinator_that_does_not_get_away_stays_with_an_exception(tmp_path: Path) -> None:
+    fleet = Fleet(mission(tmp_path, team="//Post:a@alpha\n//Post:b@bravo\n//Walker:walker@alpha\n"), 1)
+    fleet.run(8.0)
+    assert holder(fleet, "bravo") == "alpha"
+    eye = watch(fleet, "alpha")
+    fleet.crash("bravo")
+    fleet.run(40.0)
+    stayed = eye.of(events.Stayed)
+    assert stayed
+    what = stayed[0].what
+    assert isinstance(what, events.Stayed)
+    assert (what.agent, what.to, what.exception) == ("walker", "bravo", "UnreachableResourceException")
+    assert "bravo" in what.reason
+    printed = next(e for e in eye.of(events.Printed) if e.number > stayed[0].number)
+    assert printed.what == events.Printed("walker", "away")
+    assert printed.cause == stayed[0].number
+
+
+def test_what_nobody_looks_after_comes_down_because_of_whoever_has_left_it(tmp_path: Path) -> None:
+    made = mission(tmp_path)
+    bound = {
+        agent: {
+            name: structs.replace(d, without_policy=WithoutPolicy(10.0, "hold")) for name, d in of.items()
+        }
+        for agent, of in made.bindings.devices.items()
+    }
+    fleet = Fleet(replace(made, bindings=replace(made.bindings, devices=bound)), 1)
+    fleet.run(12.0)
+    gone = holder(fleet)
+    eyes = {name: watch(fleet, name) for name in fleet.lives if name != gone}
+    fleet.run(0.1)
+    fleet.lose(gone)
+    fleet.run(60.0)
+    latched = [(eye, event) for eye in eyes.values() for event in eye.of(events.Latched)]
+    assert latched
+    for eye, event in latched:
+        assert isinstance(event.what, events.Latched)
+        assert "no coordinator that used it (walker" in event.what.reason
+        led = eye.by_number().get(event.cause)
+        assert led is None or led.what.agent == "walker"  # type: ignore[union-attr]
+        assert event.cause > 0
+
+
+def test_who_can_be_called_and_who_no_more_is_told_with_its_cause(tmp_path: Path) -> None:
+    (tmp_path / "mission.L").write_text(HOISTS)
+    (tmp_path / "mission.capabilities.yaml").write_text(CAPABILITIES)
+    (tmp_path / "mission.dL").write_text("//Hoist:one@alpha\n//Hoist:two@bravo\n//Foreman:foreman@alpha\n")
+    fleet = Fleet(load_mission(tmp_path / "mission.dL", simulate=True), 1)
+    fleet.run(10.0)
+    eye = watch(fleet, "alpha")
+    fleet.run(3.0)
+    assert not eye.of(events.Withdrawn) + eye.of(events.Offered)
+    eye.say(EmergencyStop("why"))
+    fleet.crash("bravo")
+    fleet.run(5.0)
+    withdrawn = {event.what.agent: event for event in eye.of(events.Withdrawn)}  # type: ignore[union-attr]
+    assert withdrawn.keys() == {"one", "two"}
+    assert "stopped" in chain(eye, withdrawn["one"])
+    assert chain(eye, withdrawn["two"]) == ["unlinked"]
+    assert "unreachable" in withdrawn["two"].what.reason  # type: ignore[union-attr]
+    fleet.boot("bravo")
+    fleet.run(8.0)
+    (offered,) = eye.of(events.Offered)
+    assert offered.what == events.Offered("two")
+    assert chain(eye, offered) == ["linked"]
+
+
+def test_a_coordinator_goes_on_from_the_journal_of_its_host(tmp_path: Path) -> None:
+    fleet = Fleet(mission(tmp_path, team="//Post:a@alpha\n//Post:b@bravo\n//Walker:walker@alpha\n"), 3)
+    fleet.run(10.0)
+    assert holder(fleet, "bravo") == "alpha"
+    fleet.crash("alpha")
+    fleet.boot("alpha")
+    fleet.run(0.001)
+    eye = watch(fleet, "alpha", Watch(1))
+    fleet.run(8.0)
+    assert eye.states[0].number == 1
+    (kept,) = [e for e in eye.of(events.Started) if e.what.agent == "walker"]  # type: ignore[union-attr]
+    assert kept.what == events.Started("walker", 1, kept=True)
+
+
+def reads_all(eye: Eye) -> bool:
+    """Whether no state is missing in what it was told."""
+    numbers = [event.number for event in eye.states]
+    return numbers == list(range(numbers[0], numbers[0] + len(numbers)))
+
+
+def test_over_storms_of_links_and_hosts_no_state_is_missing(tmp_path: Path) -> None:
+    fleet = Fleet(mission(tmp_path, "heartbeatInterval(3.0);"), 5)
+    fleet.run(8.0)
+    eye = watch(fleet, "alpha", Watch(telemetry=10.0))
+    for _ in range(6):
+        fleet.cut("alpha", "bravo")
+        fleet.run(3.0)
+        fleet.heal("alpha", "bravo")
+        fleet.crash("charlie")
+        fleet.run(1.0)
+        fleet.boot("charlie")
+        fleet.run(4.0)
+    assert reads_all(eye)
+    assert len(eye.of(events.Unlinked)) >= 6
+    assert not any("state" in batch.lost for batch in eye.batches)
