@@ -256,3 +256,12 @@ def test_a_page_that_was_asleep_catches_up(browser, page_of):
     browser.says("host-bravo", "nobody listens there")
     assert len(browser.thing("log").find_elements(By.TAG_NAME, "p")) <= 400
     browser.wait(lambda: "last look" not in browser.text("state"))
+
+
+def test_what_would_load_the_page_anew_is_off(browser, page_of):
+    """A page that cannot reach its server must stay: it has what was known last, and STOP."""
+    browser.open(page_of().link)
+    browser.wait(lambda: browser.driver.execute_script("return !window.socket.connected"))
+    place = browser.text("place-lead")
+    browser.wait(lambda: browser.text("place-lead") != place)
+    assert not browser.driver.execute_script("return window.socket.active")

@@ -212,6 +212,9 @@ export default {
       return parts.join(" · ");
     },
     take({ look, log }) {
+      // NiceGUI's own connection would load the page anew where it times out, and what was known last, and STOP,
+      // would be gone. Nothing here needs it.
+      window.socket?.disconnect();
       this.look = look;
       this.taken = this.now = performance.now();
       this.trouble = "";
