@@ -79,7 +79,7 @@ def test_everything_of_the_packages_is_in_the_wheel(wheel):
     names = set(zipfile.ZipFile(wheel).namelist())
     for base in (ROOT / "lfield", *(ROOT / "drivers").glob("lfield_*"), ROOT / "sim-adapters/lfield_sim"):
         for path in base.rglob("*"):
-            if path.suffix in (".py", ".yaml", ".typed", ".in", ".L", ".toml", ".dbc"):
+            if path.suffix in (".py", ".yaml", ".typed", ".in", ".L", ".toml", ".dbc", ".js", ".css", ".svg"):
                 assert f"{base.name}/{path.relative_to(base).as_posix()}" in names
 
 
@@ -94,7 +94,7 @@ def test_the_metadata_names_licence_extras_and_entry_points(wheel):
     assert metadata["Name"] == "lfield"
     assert metadata["License-Expression"] == "Apache-2.0"
     assert metadata["Requires-Python"] == ">=3.11"
-    assert {"mavlink", "can", "dynamixel", "fast", "all", "test", "bench"} <= set(
+    assert {"mavlink", "can", "dynamixel", "fast", "watch", "all", "test", "bench"} <= set(
         metadata.get_all("Provides-Extra")
     )
     needed = metadata.get_all("Requires-Dist")

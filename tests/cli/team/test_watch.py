@@ -68,7 +68,7 @@ def test_two_copters_move_and_stop_and_a_host_dies(browser, lfield, team):
     browser.thing("stop").click()
     browser.says("confirmed-lead.fc", "safe")
     browser.says("confirmed-wing.fc", "safe")
-    browser.says("halt", "every device is safe")
+    browser.says("halt", "every device is safe and at rest")
     browser.says("latch-lead-fc", "at rest")
     browser.says("log", "on the page of lfield watch")
 

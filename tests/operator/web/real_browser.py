@@ -50,9 +50,9 @@ class Browser:
         self.driver.set_window_size(1440, 1000)
 
     def open(self, link: str) -> None:
-        # What was open before asks for nothing any more.
+        # What was open before asks for nothing any more, and what it said is forgotten.
         self.driver.get("about:blank")
-        self.asked_hosts()
+        _ = self.asked_hosts(), self.errors
         self.driver.get(link)
         self.wait(lambda: self.thing("state").text)
 

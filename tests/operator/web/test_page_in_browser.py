@@ -58,7 +58,8 @@ def test_stop_is_one_press_and_tells_who_has_confirmed(browser, page_of):
     browser.says("halt", "1 not confirmed")
     page.do("latch wing")
     browser.says("confirmed-wing.fc", "safe")
-    browser.says("halt", "every device is safe")
+    browser.says("halt", "every device is safe, not yet at rest")
+    browser.says("halt", "every device is safe and at rest")
     # It keeps telling after the stop.
     browser.says("latch-lead-fc", "at rest")
     first = browser.text("place-lead")
@@ -238,5 +239,29 @@ def test_a_page_that_has_lost_its_server_says_so(browser, page_of):
     browser.open(page.link)
     page.close()
     browser.says("trouble", "what it shows is old")
+    browser.says("state", "last look")
     browser.thing("stop").click()
     browser.says("failed", "lfield estop")
+
+
+def test_a_page_that_was_asleep_catches_up(browser, page_of):
+    page = page_of()
+    browser.open(page.link)
+    browser.driver.execute_cdp_cmd("Page.setWebLifecycleState", {"state": "frozen"})
+    for number in range(1000):
+        page.do(f"say alpha line {number}")
+    page.do("kill bravo")
+    browser.driver.execute_cdp_cmd("Page.setWebLifecycleState", {"state": "active"})
+    browser.says("log", "line 999")
+    browser.says("host-bravo", "nobody listens there")
+    assert len(browser.thing("log").find_elements(By.TAG_NAME, "p")) <= 400
+    browser.wait(lambda: "last look" not in browser.text("state"))
+
+
+def test_what_would_load_the_page_anew_is_off(browser, page_of):
+    """A page that cannot reach its server must stay: it has what was known last, and STOP."""
+    browser.open(page_of().link)
+    browser.wait(lambda: browser.driver.execute_script("return !window.socket.connected"))
+    place = browser.text("place-lead")
+    browser.wait(lambda: browser.text("place-lead") != place)
+    assert not browser.driver.execute_script("return window.socket.active")

@@ -1,7 +1,7 @@
 // Battery, height, link age and hops per minute of the last minutes, by ECharts. Nothing is asked for while the
 // plots are closed.
 import { echarts } from "nicegui-echart";
-import { pause, samples, shown } from "./server.js";
+import { rest, samples } from "./server.js";
 
 // Milliseconds between two looks at them: they show minutes.
 const INTERVAL = 4000;
@@ -62,8 +62,7 @@ export default {
         } catch (error) {
           this.trouble = error.message;
         }
-        await pause(INTERVAL);
-        await shown();
+        await rest(INTERVAL);
       }
       this.busy = false;
     },

@@ -1,7 +1,9 @@
 // What the page asks of its server.
 
-// Milliseconds between two looks, and how long one may take before the page says that it is not up to date.
+// Milliseconds between two looks, also while nobody sees them; and how long one may take before the page says
+// that it is not up to date.
 const INTERVAL = 200;
+const HIDDEN = 2000;
 const PATIENCE = 3000;
 // Devices take their time to confirm what a button wants.
 const LONG_PATIENCE = 20000;
@@ -24,14 +26,16 @@ export const ask = (text) => post("query", { text });
 
 export const samples = () => answerOf("plots", {}, PATIENCE);
 
-export function pause(milliseconds) {
-  return new Promise((resolve) => setTimeout(resolve, milliseconds));
-}
-
-export function shown() {
-  if (!document.hidden) return Promise.resolve();
+// So many milliseconds, more while nobody sees the page, and no more once somebody does.
+export function rest(milliseconds) {
   return new Promise((resolve) => {
-    document.addEventListener("visibilitychange", () => resolve(shown()), { once: true });
+    const timer = setTimeout(over, document.hidden ? Math.max(milliseconds, HIDDEN) : milliseconds);
+    document.addEventListener("visibilitychange", over);
+    function over() {
+      clearTimeout(timer);
+      document.removeEventListener("visibilitychange", over);
+      resolve();
+    }
   });
 }
 
@@ -52,8 +56,7 @@ export function looks(take, fail) {
     while (!ended) {
       const began = performance.now();
       await look().catch((error) => ended || fail(error));
-      await pause(Math.max(0, began + INTERVAL - performance.now()));
-      await shown();
+      await rest(Math.max(0, began + INTERVAL - performance.now()));
     }
   }
 

@@ -39,7 +39,7 @@ export default {
       <ul>
         <li v-for="(why, host) in look.stop.unreached" :key="'h' + host" class="bad" :data-testid="'unreached-' + host"><b>{{ host }}</b> NOT REACHED: {{ why }}</li>
         <li v-for="(why, device) in look.stop.unconfirmed" :key="'u' + device" class="bad" :data-testid="'unconfirmed-' + device"><b>{{ device }}</b> NOT CONFIRMED: {{ why }}</li>
-        <li v-for="device in look.stop.confirmed" :key="'c' + device" :data-testid="'confirmed-' + device"><b>{{ device }}</b> safe</li>
+        <li v-for="device in look.stop.confirmed" :key="'c' + device" :data-testid="'confirmed-' + device"><b>{{ device }}</b> safe, {{ doing(device) }}</li>
       </ul>
     </section>
     <main v-if="look">
@@ -52,7 +52,7 @@ export default {
         <div ref="log" class="lines" data-testid="log" role="log" tabindex="0" @scroll="scrolled">
           <p v-for="line in log" :key="line.serial"><time>{{ clock(line.at) }}</time><b>{{ line.host }}</b><span>{{ said(line) }}</span></p>
         </div>
-        <p v-for="words in losses" class="bad">{{ words }}</p>
+        <p v-for="loss in losses" :key="loss" class="bad">{{ loss }}</p>
       </section>
       </div>
       <div class="column-of">
@@ -147,18 +147,21 @@ export default {
     state() {
       if (!this.look) return "";
       const linked = this.look.hosts.filter((host) => host.linked).length;
-      const words = [`${linked} of ${this.look.hosts.length} hosts linked`];
-      if (this.look.stands) words.push("STOPPED");
-      else if (this.look.paused.length) words.push(`paused at ${this.look.paused.join(", ")}`);
-      if (this.stale) words.push(`last look ${words.age((this.now - this.taken) / 1000)} ago`);
-      return words.join(" · ");
+      const said = [`${linked} of ${this.look.hosts.length} hosts linked`];
+      if (this.look.stands) said.push("STOPPED");
+      else if (this.look.paused.length) said.push(`paused at ${this.look.paused.join(", ")}`);
+      if (this.stale) said.push(`last look ${words.age((this.now - this.taken) / 1000)} ago`);
+      return said.join(" · ");
     },
     stopShown() {
       const stop = this.look?.stop;
       return stop && (this.look.stands || stop.unconfirmed && Object.keys(stop.unconfirmed).length || Object.keys(stop.unreached).length && stop.age !== null);
     },
     haltTitle() {
-      if (this.look.complete) return "Stopped: every device is safe";
+      if (this.look.complete) {
+        const rest = this.look.stop.confirmed.every((device) => this.doing(device) === "at rest");
+        return `Stopped: every device is safe${rest ? " and at rest" : ", not yet at rest"}`;
+      }
       const missing = Object.keys(this.look.stop.unconfirmed).length + Object.keys(this.look.stop.unreached).length;
       return this.look.stands ? `Stopped: ${missing} not confirmed` : `Stop pressed: ${missing} not confirmed`;
     },
@@ -166,8 +169,8 @@ export default {
       return QUESTIONS[this.sure] ?? "";
     },
     losses() {
-      const words = (host) => Object.entries(host.lost).map(([kind, count]) => `${count} ${kind}`).join(", ");
-      return this.look.hosts.filter((host) => Object.keys(host.lost).length).map((host) => `${host.host}: lost on the way: ${words(host)}`);
+      const kinds = (host) => Object.entries(host.lost).map(([kind, count]) => `${count} ${kind}`).join(", ");
+      return this.look.hosts.filter((host) => Object.keys(host.lost).length).map((host) => `${host.host}: lost on the way: ${kinds(host)}`);
     },
   },
   methods: {
@@ -181,6 +184,12 @@ export default {
     latchWords(d) {
       if (!d.confirmed) return "not confirmed";
       return `safe, ${d.moving || "at rest"}`;
+    },
+    // What a device still does in its safe state.
+    doing(name) {
+      const devices = this.look.vehicles.flatMap((v) => v.devices);
+      const moving = devices.find((d) => d.name === name)?.moving;
+      return moving === undefined ? "not seen since" : moving || "at rest";
     },
     // Many programs say who speaks.
     said({ agent, text }) {
@@ -203,6 +212,9 @@ export default {
       return parts.join(" · ");
     },
     take({ look, log }) {
+      // NiceGUI's own connection would load the page anew where it times out, and what was known last, and STOP,
+      // would be gone. Nothing here needs it.
+      window.socket?.disconnect();
       this.look = look;
       this.taken = this.now = performance.now();
       this.trouble = "";
