@@ -174,7 +174,9 @@ class Session:
         """The end of the link."""
         self._relax()
         self.reason = self.reason or str(error or "")
-        if error and not self.dialled:
+        # Whoever only looks goes as it likes, without a word.
+        went = self.hello is not None and self.hello.role == "observer" and isinstance(error, AddressError)
+        if error and not self.dialled and not went:
             self._complain(str(error))
         self._peers.gone(self)
         self.over.set()

@@ -13,7 +13,9 @@ from lfield.operator.ask import STATUS, ask, ask_all
 from lfield.wire.codec import decode, encode
 from lfield.wire.fields import MAX_NUMBERS, MAX_TEXT, OLDEST
 from lfield.wire.framing import HEADER_SIZE
+from lfield.wire.messages import Hello
 from lfield.wire.observing import LinkStatus
+from lfield.wire.watching import Events, Watch
 
 PROGRAM = """
 resource Post {
@@ -140,6 +142,34 @@ def test_a_question_that_nobody_answers_ends(fleet):
             await ask(transport, "silent:1", STATUS)
         with pytest.raises(GreetingError, match="without an answer"):
             await ask(transport, "rude:1", STATUS)
+
+    fleet(story)
+
+
+def test_whoever_looks_goes_without_a_line_in_the_log(fleet):
+    async def story(team):
+        heard = []
+
+        class Watching:
+            def on_message(self, link, message):
+                if isinstance(message, Hello):
+                    link.greeted(message.role)
+                    link.send(Watch())
+                else:
+                    heard.append(message)
+
+            def on_closed(self, link, error):
+                heard.append(error)
+
+        (home,) = await team.up(team.mission(PROGRAM, DEPLOYMENT), "home")
+        link = await team.network.transport("desk").connect("home:8181", Watching())
+        link.send(Hello("observer", "observer", 0))
+        await team.until(lambda: heard)
+        assert isinstance(heard[0], Events)
+        team.network.cut("desk", "home")
+        await team.until(lambda: len(heard) > 1)
+        await asyncio.sleep(3.0)
+        assert "closed a link" not in home.log
 
     fleet(story)
 

@@ -10,7 +10,7 @@ from sight_script import Teller
 
 from lfield.net.transport import Link
 from lfield.operator.sight.following.cursor import LATEST, Cursor
-from lfield.operator.sight.following.follower import LOOK, SILENT, Follower
+from lfield.operator.sight.following.follower import ASKED_EVERY, LOOK, SILENT, Follower
 from lfield.simulate.network import MemoryNetwork
 from lfield.simulate.time import LoopClock, run_jumping
 from lfield.wire.events import Event, Linked, Measured, State
@@ -47,7 +47,8 @@ class PlayedHost:
         if isinstance(message, Hello):
             link.greeted(message.role)
         if isinstance(message, Watch):
-            self.links.append(link)
+            if link not in self.links:
+                self.links.append(link)
             link.send(Refuse(self.refuses) if self.refuses else self._answer(message))
 
     def _answer(self, watch: Watch) -> Events:
@@ -251,3 +252,19 @@ def test_a_refusal_is_told_and_tried_again_slowly() -> None:
     ears = played(story)
     assert "alpha refused: anna may do nothing" in ears.log
     assert "alpha linked" not in ears.log
+
+
+def test_a_host_is_asked_anew_every_minute_since_clocks_drift() -> None:
+    async def story(scene: Scene) -> None:
+        host = PlayedHost(scene.network)
+        scene.network.latency = 0.1
+        await asyncio.sleep(1.5)
+        for text in "abcd":
+            host.happens(Linked(text))
+            await asyncio.sleep(ASKED_EVERY)
+        assert host.all(Watch)[1:] == [Watch(7, number, 0.0) for number in (1, 2, 3, 4)]
+
+    ears = played(story)
+    assert ears.peers == ["a", "b", "c", "d"]
+    assert ears.took == [pytest.approx(0.2, abs=0.01)] * 5
+    assert all(batch.lost == {} for batch in ears.batches)

@@ -22,13 +22,15 @@ from lfield.wire.watching import Events, Seen
 
 #: Whoever is silent for so many seconds is given up; a look is taken every so many.
 SILENT, LOOK = 6.0, 1.0
+#: A host is asked anew every so many seconds, from where it was: so it is known what its clock shows now.
+ASKED_EVERY = 60.0
 
 
 class Hearer(Protocol):
     """Whoever wants to know what happens on hosts."""
 
     def linked(self, host: str) -> None:
-        """A host is heard."""
+        """A host is heard, and tells all its telemetry again: when it was called, and every minute."""
 
     def unlinked(self, host: str, why: str) -> None:
         """It is not, or not any more. Said after every try that failed."""
@@ -101,7 +103,9 @@ class Watching:
         self._host, self._cursor, self._hearer = host, cursor, hearer
         self._clock, self._brings = clock, brings
         self._greeting: Greeting | None = None
+        #: When it was asked what has not been answered yet, and when it is to be asked anew.
         self._asked: float | None = None
+        self._due = 0.0
         self._heard = clock.monotonic()
         self._timer: asyncio.TimerHandle | None = None
         #: Why the link is over, when it is.
@@ -129,23 +133,28 @@ class Watching:
             link.greeted(hello.role)
             if self._brings is not None and hello.revoked < self._brings.number:
                 link.send(Revocations(self._brings.data))
-            self._asked = self._heard
-            link.send(self._cursor.watch(hello.incarnation))
+            self._watch(link, hello.incarnation)
         elif isinstance(message, Refuse):
             raise GreetingError(f"{greeting.peer.host} refused: {message.reason}")
         elif isinstance(message, Events):
             self._take(link, message)
+
+    def _watch(self, link: Link, incarnation: int) -> None:
+        self._asked, self._due = self._heard, self._heard + ASKED_EVERY
+        link.send(self._cursor.watch(incarnation))
 
     def _take(self, link: Link, batch: Events) -> None:
         """A batch; its host may send another for it once the hearer has it."""
         if self.over.done():
             return
         took = None
-        if self._asked is not None:
+        if self._asked is not None and batch.batch == 1:
             took, self._asked = self._heard - self._asked, None
             self._hearer.linked(self._host)
         self._hearer.told(self._host, self._cursor.took(batch), took)
         link.send(Seen(batch.batch))
+        if self._asked is None and self._heard >= self._due:
+            self._watch(link, batch.incarnation)
 
     def _look(self) -> None:
         """Give up on a host that says nothing."""
