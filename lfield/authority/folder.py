@@ -94,9 +94,9 @@ def read(folder: Path, holder: Holder) -> Keys:
     """
     return Keys(
         holder,
-        _read(folder / AUTHORITY, MAX_PEM),
-        _read(folder / certificate_name(holder), MAX_PEM),
-        _read(folder / key_name(holder), MAX_PEM, secret=True),
+        read_file(folder / AUTHORITY, MAX_PEM),
+        read_file(folder / certificate_name(holder), MAX_PEM),
+        read_file(folder / key_name(holder), MAX_PEM, secret=True),
         read_list(folder, needed=holder == "host"),
     )
 
@@ -106,17 +106,17 @@ def read_list(folder: Path, *, needed: bool = False) -> bytes:
 
     A host's folder has one from the beginning: a copy that was cut short would believe whoever is revoked.
     """
-    return _read(folder / REVOKED, MAX_LIST, needed=needed)
+    return read_file(folder / REVOKED, MAX_LIST, needed=needed)
 
 
 def read_trusted(folder: Path) -> bytes:
     """The certificate of the authority in a folder, which may be any of them. Raises KeysError."""
-    return _read(folder / AUTHORITY, MAX_PEM)
+    return read_file(folder / AUTHORITY, MAX_PEM)
 
 
 def read_secret(path: Path) -> bytes:
     """A private key. Raises KeysError, also when others may read it."""
-    return _read(path, MAX_PEM, secret=True)
+    return read_file(path, MAX_PEM, secret=True)
 
 
 def write(folder: Path, keys: Keys) -> None:
@@ -146,7 +146,11 @@ def _inside(base: Path, name: str) -> Path:
     return base / inside_name(name)
 
 
-def _read(path: Path, most: int, *, secret: bool = False, needed: bool = True) -> bytes:
+def read_file(path: Path, most: int, *, secret: bool = False, needed: bool = True) -> bytes:
+    """A file of at most so many bytes in a key folder. Raises KeysError.
+
+    Also when others may read what is `secret`; what is not `needed` and not there is empty.
+    """
     try:
         return read_private(Path(os.path.realpath(path.parent), path.name), most, _owners(), secret=secret)
     except FileNotFoundError:

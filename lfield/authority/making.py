@@ -15,6 +15,7 @@ from typing import NamedTuple
 
 from cryptography import x509
 from cryptography.hazmat.primitives import serialization
+from cryptography.hazmat.primitives.asymmetric.ec import EllipticCurvePrivateKey, EllipticCurvePublicKey
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey, Ed25519PublicKey
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
@@ -50,7 +51,7 @@ class Authority:
     @property
     def key(self) -> bytes:
         """Its private key, PEM. Whoever has it is the authority."""
-        return _private_pem(self._key)
+        return private_pem(self._key)
 
     @property
     def ends(self) -> float:
@@ -85,9 +86,9 @@ class Authority:
             usages.append(ExtendedKeyUsageOID.SERVER_AUTH)
         identity = x509.UniformResourceIdentifier(uri_of(holder, name, may))
         builder = (
-            _begun(self._certificate.subject, _subject(f"{holder} {name}"), public, at, min(ends, self.ends))
+            begun(self._certificate.subject, subject_of(f"{holder} {name}"), public, at, min(ends, self.ends))
             .add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
-            .add_extension(_usage(signs_certificates=False), critical=True)
+            .add_extension(usage(signs_certificates=False), critical=True)
             .add_extension(x509.ExtendedKeyUsage(usages), critical=False)
             .add_extension(x509.SubjectAlternativeName([identity]), critical=False)
             .add_extension(
@@ -96,7 +97,7 @@ class Authority:
         )
         made = builder.sign(self._key, None)
         pem = made.public_bytes(serialization.Encoding.PEM)
-        return Issued(pem, _private_pem(key) if key is not None else b"")
+        return Issued(pem, private_pem(key) if key is not None else b"")
 
     def renewed(self, at: float, ends: float) -> Authority:
         """The same key and name with a certificate of its own until later; what it has made stays good."""
@@ -143,18 +144,23 @@ def read_authority(certificate: bytes, key: bytes) -> Authority:
 def _own_certificate(key: Ed25519PrivateKey, at: float, ends: float) -> x509.Certificate:
     """The certificate of an authority, which it signs itself. It can only sign what is none."""
     public = key.public_key()
-    name = _subject(fingerprint_of(public))
+    name = subject_of(fingerprint_of(public))
     return (
-        _begun(name, name, public, at, ends)
+        begun(name, name, public, at, ends)
         .add_extension(x509.BasicConstraints(ca=True, path_length=0), critical=True)
-        .add_extension(_usage(signs_certificates=True), critical=True)
+        .add_extension(usage(signs_certificates=True), critical=True)
         .sign(key, None)
     )
 
 
-def _begun(
-    issuer: x509.Name, subject: x509.Name, public: Ed25519PublicKey, at: float, ends: float
+def begun(
+    issuer: x509.Name,
+    subject: x509.Name,
+    public: Ed25519PublicKey | EllipticCurvePublicKey,
+    at: float,
+    ends: float,
 ) -> x509.CertificateBuilder:
+    """A certificate of a key from `at` until `ends`, to be added to and signed. Raises KeysError."""
     if not 0.0 <= at < ends:
         raise KeysError("the certificate would end before it begins; give it longer, or renew the authority")
     return (
@@ -169,7 +175,7 @@ def _begun(
     )
 
 
-def _subject(name: str) -> x509.Name:
+def subject_of(name: str) -> x509.Name:
     """For people who look at it with other tools; a common name has 64 characters at most."""
     return x509.Name(
         [
@@ -179,7 +185,8 @@ def _subject(name: str) -> x509.Name:
     )
 
 
-def _usage(*, signs_certificates: bool) -> x509.KeyUsage:
+def usage(*, signs_certificates: bool) -> x509.KeyUsage:
+    """What a key is for: to sign certificates and lists, or to prove that one has it."""
     return x509.KeyUsage(
         digital_signature=not signs_certificates,
         key_cert_sign=signs_certificates,
@@ -193,7 +200,8 @@ def _usage(*, signs_certificates: bool) -> x509.KeyUsage:
     )
 
 
-def _private_pem(key: Ed25519PrivateKey) -> bytes:
+def private_pem(key: Ed25519PrivateKey | EllipticCurvePrivateKey) -> bytes:
+    """A private key as PEM, without a password."""
     return key.private_bytes(
         serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, serialization.NoEncryption()
     )

@@ -156,7 +156,7 @@ def _prepare(context: ssl.SSLContext, keys: Keys) -> None:
     context.verify_mode = ssl.CERT_REQUIRED
     context.verify_flags |= ssl.VerifyFlags(NO_CHECK_TIME)
     context.load_verify_locations(cadata=keys.authority.decode("ascii"))
-    with _as_file(keys.certificate) as certificate, _as_file(keys.key) as key:
+    with as_file(keys.certificate) as certificate, as_file(keys.key) as key:
         context.load_cert_chain(certificate, key, password=_no_password)
 
 
@@ -166,7 +166,7 @@ def _no_password() -> bytes:
 
 
 @contextmanager
-def _as_file(data: bytes) -> Iterator[str]:
+def as_file(data: bytes) -> Iterator[str]:
     """A path for whoever reads files alone, once; what is there is on no disk, and needs none."""
     reading = piped(data)
     try:

@@ -173,6 +173,8 @@ class Network:
             "selfsigned": Caller(team.with_(alone)),
             "nameless": Caller(team.odd()),
             "twofold": Caller(team.odd(uri_of("host", "bravo"), uri_of("host", "charlie"))),
+            "page": Caller(team.page()),
+            "browsers": Caller(team.browsers()),
             "bare": Caller(None),
             "plain": Caller(None, tls=False),
             "replay": Caller(team.host("bravo"), replays=True),

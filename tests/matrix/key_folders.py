@@ -41,6 +41,7 @@ class Folders:
             "mixed": replace(alpha, key=bravo.key),
             "selfsigned": team.with_(made("alpha", [uri_of("host", "alpha")])),
             "foreign": replace(other.host("alpha"), authority=team.authority.certificate),
+            "page": team.page(),
             "cut": replace(alpha, key=alpha.key[: len(alpha.key) // 2]),
         }
         for name, keys in found.items():

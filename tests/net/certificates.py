@@ -15,6 +15,7 @@ from lfield.authority.identity import Right
 from lfield.authority.judge import Revoked
 from lfield.authority.keys import Keys
 from lfield.authority.making import new_authority
+from lfield.authority.pages.browsers import new_browsers
 from lfield.authority.pem import certificate_in, private_in
 
 BEGIN, END = (datetime.datetime(year, 1, 1, tzinfo=datetime.UTC) for year in (2026, 2099))
@@ -68,6 +69,7 @@ class Team:
 
     def __init__(self) -> None:
         self.authority = new_authority(BEGIN.timestamp(), END.timestamp())
+        self._root = new_browsers(BEGIN.timestamp(), END.timestamp())
 
     def host(self, name: str, *, begin: float = BEGIN.timestamp(), end: float = END.timestamp()) -> Keys:
         issued = self.authority.issue("host", name, at=begin, ends=end)
@@ -85,6 +87,15 @@ class Team:
     def with_(self, shown: Shown) -> Keys:
         """Any keys, of whoever believes this authority."""
         return Keys("host", self.authority.certificate, shown.pem, shown.key_pem)
+
+    def page(self) -> Keys:
+        """The keys of a page, which browsers believe, of whoever believes this authority."""
+        issued = self._root.issue(["10.0.0.1"], at=BEGIN.timestamp(), ends=END.timestamp())
+        return Keys("host", self.authority.certificate, issued.certificate, issued.key)
+
+    def browsers(self) -> Keys:
+        """The root that makes those, in the same way."""
+        return Keys("host", self.authority.certificate, self._root.certificate, self._root.key)
 
     def revoked(self, number: int, *keys: Keys) -> bytes:
         """The list of those keys."""

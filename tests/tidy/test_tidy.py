@@ -28,6 +28,7 @@ TABLES: dict[str, str] = {
 SMALL = {
     "lfield/authority/keys.py": "keys as bytes, and the names of their files",
     "lfield/authority/minted.py": "keys of one run, in memory",
+    "lfield/authority/pages/making_pages.py": "where the folder of an authority has pages",
     "lfield/host/team/absent.py": "whom nobody waits for",
     "lfield/text/visible.py": "what may reach a terminal",
     "lfield/wire/fields.py": "types of fields, a table",

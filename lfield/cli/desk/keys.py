@@ -15,9 +15,12 @@ from lfield.text.numbers import whole_between
 if TYPE_CHECKING:
     from lfield.authority.identity import Identity, Right
     from lfield.authority.ledger import Made
+    from lfield.authority.pages.making_pages import MadePage
 
 #: How many days keys last: an authority longer than all that it makes.
 _AUTHORITY_DAYS, _DAYS, _MOST_DAYS = 3650, 365, 36500
+#: Browsers take nothing of a page that lasts longer.
+_MOST_PAGE_DAYS = 398
 #: Where the authority is, when it is not in the usual folder.
 _VARIABLE = "LFIELD_AUTHORITY"
 
@@ -38,6 +41,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         required=True,
         help="observe; stop, which brings observe; operate, which brings both; command: sign bundles",
     )
+    page = actions.add_parser("page", help="make the keys of a page on a network (lfield watch --listen)")
+    page.add_argument(
+        "names", metavar="ADDRESS", nargs="+", help="all that it may be opened by: addresses, or names"
+    )
     renew = actions.add_parser("renew", help="make keys last longer; what is in use stays good until its end")
     renew.add_argument("what", choices=("host", "person", "authority"))
     renew.add_argument("names", metavar="NAME", nargs="*")
@@ -52,7 +59,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     for each in (host, person, renew):
         _add_days(each, _DAYS)
-    for each in (host, person, renew, revoke, listed):
+    _add_days(page, _DAYS, _MOST_PAGE_DAYS)
+    for each in (host, person, page, renew, revoke, listed):
         each.add_argument(
             "--authority",
             metavar="DIR",
@@ -61,11 +69,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         )
 
 
-def _add_days(parser: argparse.ArgumentParser, default: int) -> None:
+def _add_days(parser: argparse.ArgumentParser, default: int, most: int = _MOST_DAYS) -> None:
     parser.add_argument(
         "--days",
         metavar="N",
-        type=whole_between(1, _MOST_DAYS, "days"),
+        type=whole_between(1, most, "days"),
         help=f"how long they last (default: {default})",
     )
 
@@ -77,6 +85,8 @@ def run(args: argparse.Namespace) -> int:
             return _init(args)
         case "host" | "person":
             return _make(args)
+        case "page":
+            return _make_page(args)
         case "renew":
             return _renew(args)
         case "revoke":
@@ -157,6 +167,28 @@ def _tell_made(made: Made) -> None:
         print(f"  on {there}, for the service: /etc/lfield/keys/{there}, owned by the service's user")
     else:
         print(f"  on the computer of {who}: ~/.config/lfield/keys/{there}, a copy of {words}")
+
+
+def _make_page(args: argparse.Namespace) -> int:
+    from lfield.authority.ledger import opened
+    from lfield.authority.pages.making_pages import make_page
+
+    at = time.time()
+    with opened(_authority(args.authority)) as ledger:
+        _tell_page(make_page(ledger, args.names, at, _ends(args, at)))
+    return 0
+
+
+def _tell_page(made: MadePage) -> None:
+    """What was made, how it is used, and what browsers must be told."""
+    from lfield.authority.judge import when
+
+    words = shlex.quote(str(made.folder))
+    print(f"page {', '.join(made.keys.names)}: until {when(made.keys.ends)}")
+    print(f"  lfield watch --listen {made.keys.names[0]} --page-keys {words} --deploy MISSION")
+    root = shlex.quote(str(made.root))
+    print(f"  once for each browser: import {root} as an authority for web sites")
+    print("  on a phone: install that file as a CA certificate (iOS: as a profile, and then trust it)")
 
 
 def _renew(args: argparse.Namespace) -> int:

@@ -1,0 +1,261 @@
+"""Keys of pages: who believes them, for what names, and that on a link between hosts they prove nothing."""
+
+from __future__ import annotations
+
+import ssl
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from hypothesis import example, given
+from hypothesis import strategies as st
+
+from lfield.authority.keys import Keys
+from lfield.authority.making import Issued, new_authority
+from lfield.authority.pages import browsers
+from lfield.authority.pages.browsers import Browsers, new_browsers, read_browsers
+from lfield.authority.pages.names import covers, private, spelled
+from lfield.authority.pages.page_keys import page_keys, read_page, write_page
+from lfield.errors import GreetingError, KeysError
+from lfield.net.tls import Tls, as_file
+
+AT, DAY = 1_795_464_000.0, 86400.0
+NAMES = ("192.168.1.20", "ground.local")
+
+
+@pytest.fixture(scope="module")
+def root() -> Browsers:
+    return new_browsers(AT, AT + 3650 * DAY)
+
+
+@pytest.fixture(scope="module")
+def page(root: Browsers) -> Issued:
+    return root.issue(NAMES, at=AT, ends=AT + 365 * DAY)
+
+
+def opened(root: bytes, page: Issued, name: str) -> str:
+    """The version of TLS by which whoever believes a root opens a page of that name. Raises ssl.SSLError."""
+    browser, server = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT), ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+    browser.load_verify_locations(cadata=root.decode())
+    with as_file(page.certificate) as certificate, as_file(page.key) as key:
+        server.load_cert_chain(certificate, key)
+    there, back = ssl.MemoryBIO(), ssl.MemoryBIO()
+    near = browser.wrap_bio(back, there, server_hostname=name)
+    far = server.wrap_bio(there, back, server_side=True)
+    for _ in range(2):
+        for end in (near, far):
+            try:
+                end.do_handshake()
+            except ssl.SSLWantReadError:
+                continue
+    return near.version() or ""
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_who_has_the_root_opens_a_page_by_each_of_its_names(root: Browsers, page: Issued, name: str) -> None:
+    assert opened(root.certificate, page, name) == "TLSv1.3"
+
+
+def test_who_has_it_not_and_another_name_are_refused(root: Browsers, page: Issued) -> None:
+    stranger = new_browsers(AT, AT + DAY)
+    with pytest.raises(ssl.SSLCertVerificationError, match=r"self.signed|unable to get local issuer"):
+        opened(stranger.certificate, page, NAMES[0])
+    with pytest.raises(ssl.SSLCertVerificationError, match="mismatch"):
+        opened(root.certificate, page, "192.168.1.21")
+
+
+@pytest.mark.parametrize("name", ["bank.example", "notlocal", "8.8.8.8", "2001:db8::1"])
+def test_a_root_that_was_stolen_can_pass_for_nothing_of_the_internet(
+    root: Browsers, name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with pytest.raises(KeysError, match="is in no private network"):
+        root.issue([name], at=AT, ends=AT + DAY)
+    # A thief has no such scruples, and browsers see what the root may.
+    monkeypatch.setattr(browsers, "private", lambda name: True)
+    forged = root.issue([name], at=AT, ends=AT + DAY)
+    with pytest.raises(ssl.SSLCertVerificationError, match="permitted subtree violation"):
+        opened(root.certificate, forged, name)
+
+
+def test_nothing_lasts_longer_than_the_root(root: Browsers) -> None:
+    short = new_browsers(AT, AT + DAY)
+    made = short.issue(NAMES, at=AT, ends=AT + 365 * DAY)
+    assert page_keys(made.certificate, made.key).ends == AT + DAY
+    with pytest.raises(KeysError, match=r"ended 2026-.*: remove browsers.crt and browsers.key"):
+        short.issue(NAMES, at=AT + DAY, ends=AT + 2 * DAY)
+
+
+def test_the_root_is_read_again(root: Browsers, page: Issued) -> None:
+    again = read_browsers(root.certificate, root.key)
+    assert opened(root.certificate, again.issue(NAMES, at=AT, ends=AT + DAY), NAMES[0])
+    for certificate, key in ((root.certificate, page.key), (page.certificate, root.key)):
+        with pytest.raises(KeysError, match="of one copy"):
+            read_browsers(certificate, key)
+
+
+# --- on links between hosts -------------------------------------------------------------------------------
+
+
+def shaken(near: Tls, far: Tls) -> None:
+    """A link between two, as far as it comes. Raises GreetingError."""
+    calling, called = near.channel(calls=True), far.channel(calls=False)
+    for _ in range(3):
+        list(called.feed(calling.take()))
+        list(calling.feed(called.take()))
+
+
+def links(root: Browsers, page: Issued) -> Iterator[tuple[Tls, Tls]]:
+    """A host and a page's keys, each calling the other; the page believes whom it must to be let in."""
+    team = new_authority(AT, AT + DAY)
+    alpha = team.issue("host", "alpha", at=AT, ends=AT + DAY)
+    host = Tls(Keys("host", team.certificate, alpha.certificate, alpha.key))
+    shaken(host, host)
+    for pem, key in ((page.certificate, page.key), (root.certificate, root.key)):
+        intruder = Tls(Keys("host", team.certificate, pem, key))
+        yield intruder, host
+        yield host, intruder
+
+
+def test_neither_a_page_nor_its_root_opens_a_link(root: Browsers, page: Issued) -> None:
+    tried = 0
+    for near, far in links(root, page):
+        with pytest.raises(GreetingError, match=r"not signed by the authority of this team|is not good"):
+            shaken(near, far)
+        tried += 1
+    assert tried == 4
+
+
+# --- names ------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("text", "name"),
+    [
+        ("192.168.1.20", "192.168.1.20"),
+        ("[FD00:0::2]", "fd00::2"),
+        ("Ground.LOCAL", "ground.local"),
+        ("ground-2", "ground-2"),
+    ],
+)
+def test_a_name_has_one_spelling(text: str, name: str) -> None:
+    assert spelled(text) == name
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "0.0.0.0",
+        "::",
+        "224.0.0.1",
+        "fe80::1%eth0",
+        "192.168.1",
+        "192.168.1.256",
+        "a b",
+        "grün.local",
+        "a_b",
+        "*.local",
+        "-a.local",
+        "a..local",
+        "local.",
+        "https://a.local",
+        "a.local:80",
+        "../x",
+        "a" * 64,
+        "[a]",
+    ],
+)
+def test_what_no_browser_opens_is_no_name(text: str) -> None:
+    with pytest.raises(KeysError, match=r"such as 192\.168\.1\.20"):
+        spelled(text)
+
+
+@given(st.text(max_size=30))
+@example("1" * 5000)
+def test_any_text_has_a_spelling_that_stays_or_is_refused(text: str) -> None:
+    try:
+        name = spelled(text)
+    except KeysError:
+        return
+    assert spelled(name) == name
+
+
+@pytest.mark.parametrize(
+    ("name", "is_private"),
+    [
+        ("10.1.2.3", True),
+        ("fd12::1", True),
+        ("x.local", True),
+        ("x.home.arpa", True),
+        ("127.0.0.2", True),
+        ("172.32.0.1", False),
+        ("local", False),
+        ("xlocal", False),
+        ("x.local.example", False),
+        ("::", False),
+    ],
+)
+def test_what_a_private_network_is(name: str, is_private: bool) -> None:
+    assert private(name) is is_private
+
+
+@pytest.mark.parametrize(
+    ("pattern", "name", "fits"),
+    [
+        ("a.example", "a.example", True),
+        ("*.example", "a.example", True),
+        ("*.example", "b.a.example", False),
+        ("*.example", "example", False),
+        ("*.", "a", False),
+        ("*.0.0.2", "127.0.0.2", False),
+    ],
+)
+def test_a_star_is_one_label(pattern: str, name: str, fits: bool) -> None:
+    assert covers(pattern, name) is fits
+
+
+# --- a folder ---------------------------------------------------------------------------------------------
+
+
+def test_a_folder_is_read_and_says_where_and_until_when_it_serves(page: Issued, tmp_path: Path) -> None:
+    write_page(tmp_path / "page", page.certificate, page.key)
+    keys = read_page(tmp_path / "page")
+    assert keys.names == NAMES
+    assert "PRIVATE" not in repr(keys)
+    assert [keys.refusal(name, AT) for name in NAMES] == ["", ""]
+    assert keys.refusal("10.0.0.1", AT) == (
+        "the page's certificate is for 192.168.1.20 and ground.local, not for 10.0.0.1: 'lfield keys page "
+        "10.0.0.1' makes one"
+    )
+    assert "ended 2027-" in keys.refusal(NAMES[0], AT + 365 * DAY)
+    assert "set the clock" in keys.refusal(NAMES[0], 0.0)
+
+
+def test_a_key_that_others_may_read_is_refused(page: Issued, tmp_path: Path) -> None:
+    write_page(tmp_path / "page", page.certificate, page.key)
+    (tmp_path / "page" / "page.key").chmod(0o640)
+    with pytest.raises(KeysError, match=r"run 'chmod 600 .*page\.key'"):
+        read_page(tmp_path / "page")
+
+
+def test_what_is_no_page_is_told(root: Browsers, page: Issued, tmp_path: Path) -> None:
+    with pytest.raises(KeysError, match="'lfield keys page ADDRESS' makes some"):
+        read_page(tmp_path)
+    other = root.issue(NAMES, at=AT, ends=AT + DAY)
+    host = new_authority(AT, AT + DAY).issue("host", "alpha", at=AT, ends=AT + DAY)
+    for certificate, key, words in (
+        (page.certificate, other.key, "is not the key of the first certificate"),
+        (page.certificate, b"", "page.key is no private key"),
+        (b"", page.key, "page.crt is no certificate"),
+        (page.certificate[:300], page.key, "page.crt is no certificate"),
+        (root.certificate, root.key, "with names of servers"),
+        (host.certificate, host.key, "browsers take keys of RSA"),
+    ):
+        write_page(tmp_path / "page", certificate, key)
+        with pytest.raises(KeysError, match=words):
+            read_page(tmp_path / "page")
+
+
+def test_of_a_chain_the_first_counts_and_all_is_kept(root: Browsers, page: Issued) -> None:
+    keys = page_keys(page.certificate + root.certificate, page.key)
+    assert (keys.names, keys.certificate) == (NAMES, page.certificate + root.certificate)
