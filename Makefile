@@ -21,8 +21,8 @@ LINT = $(BIN)/ruff check . && $(BIN)/ruff format --check . && $(BIN)/lint-import
 # Lint and types run beside the tests and are shown behind them; either may fail the whole. A job in the background does
 # not hear Ctrl-C, so it is ended here.
 test: $(VENV)/.tested
-	@{ $(LINT); } >$(VENV)/lint.log 2>&1 & lint=$$!; \
-	trap 'kill $$lint 2>/dev/null; exit 130' INT TERM; \
+	@setsid sh -c '$(LINT)' >$(VENV)/lint.log 2>&1 & lint=$$!; \
+	trap 'kill -- -$$lint 2>/dev/null; exit 130' INT TERM; \
 	$(BIN)/pytest; tests=$$?; \
 	wait $$lint; checks=$$?; cat $(VENV)/lint.log; $(NO_BROWSER); \
 	test $$tests -eq 0 && test $$checks -eq 0
