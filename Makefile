@@ -16,11 +16,13 @@ demo: $(VENV)/.installed
 NO_BROWSER = command -v chromium >/dev/null && command -v chromedriver >/dev/null || \
 	echo "NOT TRIED: the page of lfield watch in a browser; sudo apt-get install chromium chromium-driver"
 
+LINT = $(BIN)/ruff check . && $(BIN)/ruff format --check . && $(BIN)/lint-imports && $(BIN)/mypy
+
 # Lint and types run beside the tests and are shown behind them; either may fail the whole. A job in the background does
 # not hear Ctrl-C, so it is ended here.
 test: $(VENV)/.tested
-	@$(MAKE) --no-print-directory lint >$(VENV)/lint.log 2>&1 & lint=$$!; \
-	trap 'kill $$lint 2>/dev/null; exit 130' INT TERM; \
+	@setsid sh -c '$(LINT)' >$(VENV)/lint.log 2>&1 & lint=$$!; \
+	trap 'kill -- -$$lint 2>/dev/null; exit 130' INT TERM; \
 	$(BIN)/pytest; tests=$$?; \
 	wait $$lint; checks=$$?; cat $(VENV)/lint.log; $(NO_BROWSER); \
 	test $$tests -eq 0 && test $$checks -eq 0
@@ -57,10 +59,7 @@ chaos: $(VENV)/.tested
 	$$(unshare -Urm true 2>/dev/null && echo unshare -Urm) $(BIN)/python tests/chaos/run.py --seconds $(SECONDS) --seed $(SEED)
 
 lint: $(VENV)/.tested
-	$(BIN)/ruff check .
-	$(BIN)/ruff format --check .
-	$(BIN)/lint-imports
-	$(BIN)/mypy
+	$(LINT)
 
 # make fuzz COUNT=1000 SEED=1      random programs on the engine in WebAssembly and the reference engine, compared
 COUNT ?= 1000

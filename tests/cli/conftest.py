@@ -14,6 +14,7 @@ import threading
 import time
 import uuid
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -218,13 +219,24 @@ class Lfield:
     def left(self) -> list[int]:
         return processes_of(self.mark)
 
+    def running(self, word: str) -> list[int]:
+        """Those of its processes that were started with a word, which may have ended meanwhile."""
+        found = []
+        for pid in self.left():
+            with suppress(FileNotFoundError, ProcessLookupError):
+                words = Path(f"/proc/{pid}/cmdline").read_bytes().split(b"\0")
+                found += [pid] if word.encode() in words else []
+        return found
+
     def child(self, host: str) -> int:
         """The process of a host that `--all` has started."""
-        for pid in self.left():
-            words = Path(f"/proc/{pid}/cmdline").read_bytes().split(b"\0")
-            if f"--host={host}".encode() in words:
-                return pid
-        raise AssertionError(f"no process of {host}")
+        found = self.running(f"--host={host}")
+        assert found, f"no process of {host}"
+        return found[0]
+
+    def guards(self) -> list[int]:
+        """The processes of guards."""
+        return self.running("lfield.guard.process")
 
     def all_ended(self) -> bool:
         """Whether all processes have ended, before too long."""

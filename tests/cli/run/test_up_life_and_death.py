@@ -157,8 +157,7 @@ def test_a_killed_child_whose_vehicle_nobody_has_seen_since_is_worse_than_any_ot
     assert "bravo | wing.fc: NOT SAFE: nobody has seen its safe state 'land'" in team.err
     assert "lead.fc: NOT SAFE" not in team.said
     # Its fake has gone with it, but what that stands for would not: the guard goes on trying.
-    (guard,) = lfield.left()
-    assert b"lfield.guard.process" in Path(f"/proc/{guard}/cmdline").read_bytes()
+    assert lfield.left() == lfield.guards() != []
 
 
 def test_ctrl_c_to_one_host(lfield):

@@ -4,16 +4,11 @@ from __future__ import annotations
 
 import signal
 import time
-from pathlib import Path
 
 import pytest
 from flight import PROGRAM, copter, devices
 
 pytestmark = pytest.mark.process
-
-
-def is_guard(pid: int) -> bool:
-    return b"lfield.guard.process" in Path(f"/proc/{pid}/cmdline").read_bytes()
 
 
 def bound_nowhere(lfield, port: int, lead: str = "") -> tuple[object, ...]:
@@ -29,7 +24,7 @@ def bound_nowhere(lfield, port: int, lead: str = "") -> tuple[object, ...]:
 def test_a_device_that_was_only_asked_is_not_called_unsafe(lfield, alone):
     (port,) = lfield.ports.take(1)
     host = lfield.start(*bound_nowhere(lfield, port), env=alone)
-    while not any(map(is_guard, lfield.left())):
+    while not lfield.guards():
         time.sleep(0.02)
     host.signal(signal.SIGTERM)
     assert host.wait() == 0, host.said
