@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import argparse
 import asyncio
+import time
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from lfield import exits
 from lfield.cli.mission_argument import add_running_mission, meant_parties, meant_runs, named_mission
-from lfield.errors import PluginError, UsageError
+from lfield.errors import KeysError, PluginError, UsageError
 from lfield.text.suggest import listed
 
 if TYPE_CHECKING:
+    from lfield.authority.pages.page_keys import PageKeys
     from lfield.mission.team import Team
     from lfield.operator.addressed import Party
     from lfield.operator.web.tiles import Tiles
@@ -27,7 +29,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="N",
         type=_port,
         default=0,
-        help="of this computer; any that is free if none is given",
+        help="the page's; any that is free if none is given",
+    )
+    parser.add_argument(
+        "--listen",
+        metavar="ADDRESS",
+        type=_address,
+        help="serve it on a network, at this address of the computer, by https",
+    )
+    parser.add_argument(
+        "--page-keys",
+        metavar="DIR",
+        type=Path,
+        help="the keys of the page for that, as 'lfield keys page ADDRESS' makes them",
     )
     parser.add_argument(
         "--tiles", metavar="FILE", type=Path, help="a background for the map: an MBTiles file with pictures"
@@ -40,22 +54,51 @@ def _port(text: str) -> int:
     return int(text)
 
 
+def _address(text: str) -> str:
+    from lfield.authority.pages.names import spelled
+
+    try:
+        return spelled(text)
+    except KeysError as error:
+        raise argparse.ArgumentTypeError(str(error)) from None
+
+
 def run(args: argparse.Namespace) -> int:
     """130, after a Ctrl-C: it shows a team for as long as somebody wants to look."""
     from lfield.operator.addressed import only_mission, open_team
     from lfield.operator.web.tiles import Tiles
 
+    page_keys = _page_keys(args)
     _need_nicegui()
     tiles = Tiles(args.tiles) if args.tiles else None
     path = named_mission(args) or only_mission(meant_runs(args))
     team = open_team(path)
     party = _only(meant_parties(args, meant_runs(args)))
     try:
-        asyncio.run(_watch(args, path, team, party, tiles))
+        asyncio.run(_watch(args, path, team, party, tiles, page_keys))
     except KeyboardInterrupt:
         print("no longer looking, and nothing else has changed")
         return exits.INTERRUPTED
     return exits.DONE
+
+
+def _page_keys(args: argparse.Namespace) -> PageKeys | None:
+    """What a page on a network is served with, else None. Raises UsageError, KeysError."""
+    if args.listen is None:
+        if args.page_keys is not None:
+            raise UsageError("--page-keys is for a page on a network: say where with --listen ADDRESS")
+        return None
+    if args.page_keys is None:
+        raise UsageError(
+            "--listen takes --page-keys DIR, or anybody on the way could press the buttons: "
+            f"'lfield keys page {args.listen}' makes them"
+        )
+    from lfield.authority.pages.page_keys import read_page
+
+    keys = read_page(args.page_keys)
+    if refusal := keys.refusal(args.listen, time.time()):
+        raise KeysError(refusal)
+    return keys
 
 
 def _need_nicegui() -> None:
@@ -73,17 +116,28 @@ def _only(parties: Sequence[Party]) -> Party:
     return parties[0]
 
 
-async def _watch(args: argparse.Namespace, path: Path, team: Team, party: Party, tiles: Tiles | None) -> None:
+async def _watch(
+    args: argparse.Namespace,
+    path: Path,
+    team: Team,
+    party: Party,
+    tiles: Tiles | None,
+    page_keys: PageKeys | None,
+) -> None:
     from lfield.clock import SystemClock
     from lfield.operator.sight.watched import watched
-    from lfield.operator.web.server import Served, listening, serve
+    from lfield.operator.web.server import Served, serve
+    from lfield.operator.web.site import on_a_network, on_this_computer
 
     def found() -> Sequence[Party]:
         return meant_parties(args, meant_runs(args))
 
-    opened = listening(args.port)
+    if page_keys is None:
+        site = on_this_computer(args.port)
+    else:
+        site = on_a_network(args.listen, args.port, page_keys)
     async with watched(path, team, party, found, args.keys) as shown:
         served = Served(
             f"{path.absolute().parent.name}/{path.stem}", shown, shown.actions, SystemClock(), tiles
         )
-        await serve(served, opened, lambda link: print(f"open this link: {link}", flush=True))
+        await serve(served, site, lambda link: print(f"open this link: {link}", flush=True))

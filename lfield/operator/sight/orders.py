@@ -8,11 +8,12 @@ from collections.abc import Awaitable, Callable, Mapping
 from functools import cached_property
 
 from lfield.authority.identity import Identity
-from lfield.authority.judge import ALL_IS_WELL
+from lfield.authority.judge import Verdict
 from lfield.authority.keys import Keys
 from lfield.authority.rights import lacks
 from lfield.capability.matching.matcher import Matcher
 from lfield.errors import LfieldError, ProgramError
+from lfield.mission.access.rules import UNWRITTEN, Access
 from lfield.mission.team import Team
 from lfield.net.door import oneself
 from lfield.net.stream import UNIX
@@ -41,16 +42,15 @@ _MESSAGES: Mapping[Order, EmergencyStop | Pause] = {
     "resume": Pause(lift=True),
 }
 
-
 Beside = Callable[[Callable[[str, Answers[Status]], Answer], str, Answers[Status]], Awaitable[Answer]]
 
 
 class Orders:
     """Implements `Actions` for the hosts of a team; each answer is told to `heard` as well.
 
-    `keys` are those of this person, None for none. `asked` is what questions are about; where that cannot be
-    had, its error says why. It may take a while, and is only looked for when somebody asks: what takes long
-    is done `beside` the loop.
+    `keys` are those of this person, None for none; `access` is what the mission takes of their rights, as far
+    as this computer knows. `asked` is what questions are about; where that cannot be had, its error says why.
+    It may take a while, and is only looked for when somebody asks: what takes long is done `beside` the loop.
     """
 
     def __init__(
@@ -63,10 +63,12 @@ class Orders:
         keys: Keys | None = None,
         brings: Brought | None = None,
         beside: Beside = asyncio.to_thread,
+        access: Access = UNWRITTEN,
     ) -> None:
         self._beside = beside
         self._transport, self._reach, self._heard = transport, reach, heard
         self._team, self._read, self._keys, self._brings = team, asked, keys, brings
+        self._access = access
         self._asked: Asked | None = None
 
     # --- who may --------------------------------------------------------------------------------------
@@ -77,10 +79,13 @@ class Orders:
         found: dict[Order, str] = {}
         who = [self._oneself(address) for address in self._reach.addresses.values()]
         for order, message in _MESSAGES.items():
-            reasons = [lacks(identity, ALL_IS_WELL, message) for identity in who if identity is not None]
+            reasons = [self._lacks(identity, message) for identity in who if identity is not None]
             if reasons and all(reasons):
                 found[order] = reasons[0]
         return found
+
+    def _lacks(self, who: Identity, message: EmergencyStop | Pause) -> str:
+        return lacks(who, Verdict("all", barred=self._access.barred(who)), message)
 
     def _oneself(self, address: str) -> Identity | None:
         """Who this is to the host at an address, None where only the host knows that."""

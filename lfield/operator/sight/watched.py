@@ -14,7 +14,9 @@ from pathlib import Path
 from lfield.clock import Clock, SystemClock
 from lfield.errors import LfieldError
 from lfield.mission import bundle
+from lfield.mission.access.rules import UNWRITTEN
 from lfield.mission.load import load_mission
+from lfield.mission.mission import Mission
 from lfield.mission.team import Team
 from lfield.operator.addressed import Party
 from lfield.operator.ask import brought, observer, own_keys
@@ -71,18 +73,17 @@ class Watched:
             await asyncio.sleep(TICK)
 
 
-def read_roll(path: Path, team: Team) -> Roll:
-    """The roll of a team with all that its files say; of files with mistakes in them that of the deployment.
+def read_mission(path: Path) -> Mission | None:
+    """The mission that a team flies, as its files say; None where there are mistakes in them.
 
-    A team that flies can be watched whatever has become of the program on this computer.
+    A team can be watched whatever has become of the program on this computer.
     """
     try:
         is_bundle = path.suffix == bundle.SUFFIX
         # Whether its devices are fakes does not change what they tell.
-        mission = bundle.read(path) if is_bundle else load_mission(path, simulate=True)
-        return roll_of(path.stem, team, mission)
+        return bundle.read(path) if is_bundle else load_mission(path, simulate=True)
     except LfieldError:
-        return roll_of(path.stem, team)
+        return None
 
 
 @asynccontextmanager
@@ -98,12 +99,14 @@ async def watched(
     own = own_keys(party.addresses.values(), keys)
     transport, brings = observer(own), brought(own)
     reach = Reach(party, look)
-    shown = Watched(await asyncio.to_thread(read_roll, path, team), clock)
+    mission = await asyncio.to_thread(read_mission, path)
+    shown = Watched(roll_of(path.stem, team, mission), clock)
+    access = mission.access if mission is not None else UNWRITTEN
 
     def asked() -> Asked:
         return read_asked(path, team)
 
-    shown.actions = Orders(transport, reach, shown.picture.answered, team, asked, own, brings)
+    shown.actions = Orders(transport, reach, shown.picture.answered, team, asked, own, brings, access=access)
     follower = Follower(transport, reach.hosts, reach, shown, clock, telemetry=RATE, brings=brings)
     async with beside(follower.run(), shown.tick()):
         yield shown

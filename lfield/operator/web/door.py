@@ -1,8 +1,9 @@
 """Who may open the page: whoever has the link that was printed on the terminal, once; then that browser.
 
-Every user of a computer reaches its loopback, and so does every web page that one of them has open. So a
-request must bring the cookie of a session, which the link gives; it must be for an address of ours, or a name
-that somebody else made point here would do (DNS rebinding); and what comes from a page must come from ours.
+Every user of a computer reaches its loopback, and so does every web page that one of them has open; a network
+is open to more people still. So a request must bring the cookie of a session, which the link gives. It must
+be for an address of ours, or a name that somebody else made point here would do (DNS rebinding); and what
+comes from a page must come from ours.
 """
 
 from __future__ import annotations
@@ -35,6 +36,8 @@ class Door:
 
     def __init__(self, addresses: Collection[str], dice: Callable[[], str], scheme: str = "http") -> None:
         self._addresses = frozenset(addresses)
+        #: Whether nobody on the way can read what is said here.
+        self.secure = scheme == "https"
         self._origins = frozenset(f"{scheme}://{address}" for address in addresses)
         self._dice = dice
         self._sessions: dict[str, None] = {}

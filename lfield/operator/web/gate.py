@@ -32,7 +32,9 @@ class Gate:
     """An application (ASGI) behind a door. `entered` is called when a link was used: the next is another."""
 
     def __init__(self, app: App, door: Door, cookie: str, entered: Callable[[], None]) -> None:
-        self._app, self._door, self._cookie, self._entered = app, door, cookie, entered
+        self._app, self._door, self._entered = app, door, entered
+        # A cookie of that name comes from https alone, browsers see to it, and from this very host.
+        self._cookie = f"__Host-{cookie}" if door.secure else cookie
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         if scope["type"] == "lifespan":
@@ -67,6 +69,7 @@ class Gate:
         headers = [(b"location", b"/")]
         if session is not None:
             cookie = f"{self._cookie}={session}; Path=/; HttpOnly; SameSite=Strict"
+            cookie += "; Secure" if self._door.secure else ""
             headers.append((b"set-cookie", cookie.encode()))
             self._entered()
         # The link does not stay in the address bar.

@@ -1,4 +1,4 @@
-"""Serves the page: its routes, and a server on a socket of ours that ends when the command does.
+"""Serves the page: its routes, and a server at a site of ours that ends when the command does.
 
 NiceGUI brings server, page and components; it is imported when a page is served, and not before.
 """
@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import asyncio
 import secrets
-import socket
 from collections.abc import Awaitable, Callable, Generator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -20,7 +19,6 @@ from fastapi import FastAPI, Request, Response
 from nicegui import ui
 
 from lfield.clock import Clock
-from lfield.errors import AddressError
 from lfield.operator.sight.actions import Actions, Ordered
 from lfield.operator.sight.seen import Sight
 from lfield.operator.web.answers import answered, ordered
@@ -28,9 +26,9 @@ from lfield.operator.web.door import Door
 from lfield.operator.web.gate import Gate
 from lfield.operator.web.look import Looks
 from lfield.operator.web.page import page
+from lfield.operator.web.site import Site
 from lfield.operator.web.tiles import Tiles
 
-LOOPBACK = "127.0.0.1"
 #: What is written into the logs of the hosts when somebody presses STOP here.
 REASON = "on the page of lfield watch"
 #: The longest body of a request, in bytes: the longest question has 4000 characters.
@@ -48,27 +46,12 @@ class Served:
     tiles: Tiles | None = None
 
 
-def listening(port: int) -> socket.socket:
-    """A socket of this computer alone; any free port for 0. Raises AddressError."""
-    opened = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
-    opened.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-    try:
-        opened.bind((LOOPBACK, port))
-        # Whoever opens the link at once is not turned away.
-        opened.listen()
-    except OSError as error:
-        opened.close()
-        raise AddressError(f"{LOOPBACK}:{port}", (error.strerror or str(error)).lower()) from None
-    return opened
-
-
-async def serve(served: Served, opened: socket.socket, tell: Callable[[str], None]) -> None:
-    """Serve the page on that socket until this is cancelled; `tell` gets each link that opens it."""
-    port: int = opened.getsockname()[1]
-    door = Door((f"{LOOPBACK}:{port}", f"localhost:{port}"), lambda: secrets.token_urlsafe(24))
+async def serve(served: Served, site: Site, tell: Callable[[str], None]) -> None:
+    """Serve the page at that site until this is cancelled; `tell` gets each link that opens it."""
+    door = Door(site.addresses, lambda: secrets.token_urlsafe(24), site.scheme)
 
     def tell_link() -> None:
-        tell(f"http://{LOOPBACK}:{port}/?token={door.token}")
+        tell(site.link(door.token))
 
     app = FastAPI(openapi_url=None)
     _add_routes(app, served)
@@ -84,22 +67,24 @@ async def serve(served: Served, opened: socket.socket, tell: Callable[[str], Non
         gzip_middleware_factory=None,
     )
     config = uvicorn.Config(
-        Gate(app, door, f"lfield-{port}", tell_link),
+        Gate(app, door, f"lfield-{site.port}", tell_link),
         log_config=None,
         access_log=False,
         lifespan="on",
         # Pages that are open are not waited for.
         timeout_graceful_shutdown=1,
     )
+    config.load()
+    config.ssl = site.tls
     server = _Server(config)
-    serving = asyncio.create_task(server.serve([opened]))
+    serving = asyncio.create_task(server.serve([site.opened]))
     tell_link()
     try:
         await asyncio.shield(serving)
     finally:
         server.should_exit = True
         await asyncio.gather(serving, return_exceptions=True)
-        opened.close()
+        site.opened.close()
 
 
 class _Server(uvicorn.Server):
@@ -128,7 +113,13 @@ def _add_routes(app: FastAPI, served: Served) -> None:
     async def act(request: Request) -> Response:
         asked = (await _said(request)).get("action")
         does = _buttons(served.actions).get(str(asked))
-        return _json(ordered(await does())) if does else _refused("there is no such button")
+        if does is None:
+            return _refused("there is no such button")
+        # Hosts would say the same; whoever has no button need not ask them.
+        for order, why in served.actions.barred.items():
+            if order == asked:
+                return _refused(why, 403)
+        return _json(ordered(await does()))
 
     @app.post("/query")
     async def query(request: Request) -> Response:
@@ -172,5 +163,5 @@ def _json(data: bytes) -> Response:
     return Response(data, media_type="application/json", headers={"Cache-Control": "no-store"})
 
 
-def _refused(why: str) -> Response:
-    return Response(why, status_code=400, media_type="text/plain")
+def _refused(why: str, status: int = 400) -> Response:
+    return Response(why, status_code=status, media_type="text/plain")

@@ -16,7 +16,8 @@ from lfield.clock import SystemClock
 from lfield.operator.sight.picture.places import Instruments
 from lfield.operator.sight.picture.roll import Enrolled, Roll
 from lfield.operator.sight.watched import Watched
-from lfield.operator.web.server import Served, listening, serve
+from lfield.operator.web.server import Served, serve
+from lfield.operator.web.site import on_this_computer
 from lfield.wire.codec import decode, encode, limits
 from lfield.wire.events import Came, Event, Latched, Measured, Released, Standing
 from lfield.wire.framing import FrameDecoder
@@ -135,7 +136,7 @@ async def main(count: int) -> None:
 
     page = Served("bench", shown, NobodyActs(), SystemClock())  # type: ignore[arg-type]
     await asyncio.gather(
-        serve(page, listening(0), lambda link: print(link, flush=True)),
+        serve(page, on_this_computer(0), lambda link: print(link, flush=True)),
         shown.tick(),
         latches(),
         *(one(host) for host in range(count)),

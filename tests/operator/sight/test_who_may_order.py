@@ -10,6 +10,7 @@ import pytest
 
 from lfield.authority.identity import Right
 from lfield.authority.keys import Keys
+from lfield.mission.access.rules import UNWRITTEN, Access, Person
 from lfield.net.tcp import TcpTransport
 from lfield.operator.addressed import Party
 from lfield.operator.sight.following.reach import Reach
@@ -17,7 +18,9 @@ from lfield.operator.sight.orders import Orders
 from lfield.testing.keys import Keyring
 
 
-def barred(addresses: Mapping[str, str], keys: Keys | None = None) -> Mapping[str, str]:
+def barred(
+    addresses: Mapping[str, str], keys: Keys | None = None, access: Access = UNWRITTEN
+) -> Mapping[str, str]:
     orders = Orders(
         TcpTransport(1 << 20),
         Reach(Party((), addresses), lambda: []),
@@ -25,6 +28,7 @@ def barred(addresses: Mapping[str, str], keys: Keys | None = None) -> Mapping[st
         None,  # type: ignore[arg-type]
         lambda: None,  # type: ignore[arg-type, return-value]
         keys,
+        access=access,
     )
     return orders.barred
 
@@ -44,6 +48,17 @@ def test_a_certificate_says_which_buttons_there_are(
     found = barred({"alpha": "10.0.0.5:8181"}, keys)
     assert set(found) == not_may
     assert all("lfield keys person anna --may" in why for why in found.values())
+
+
+def test_a_mission_leaves_fewer_buttons_and_never_takes_stop(tmp_path: Path) -> None:
+    keys = Keyring(tmp_path).made("person", "anna", Right.OBSERVE, Right.STOP, Right.OPERATE)
+    for names in ("anna", "others"):
+        access = Access("mission.access.yaml", (Person(names, (Right.OBSERVE,), 2),))
+        found = barred({"alpha": "10.0.0.5:8181"}, keys, access)
+        assert set(found) == {"lift", "resume"}
+        assert all(f"mission.access.yaml:2 gives {names} observe" in why for why in found.values())
+    access = Access("mission.access.yaml", (Person("bob", (Right.OBSERVE,), 2),))
+    assert barred({"alpha": "10.0.0.5:8181"}, keys, access) == {}
 
 
 def test_the_user_who_runs_a_host_may_all_of_it_and_others_are_told(tmp_path: Path, monkeypatch) -> None:

@@ -4,16 +4,23 @@ from __future__ import annotations
 
 import json
 import shutil
+from base64 import b64encode
 from collections.abc import Callable
+from hashlib import sha256
+from pathlib import Path
 from urllib.parse import urlsplit
 
 import pytest
+from cryptography import x509
+from cryptography.hazmat.primitives.serialization import Encoding, PublicFormat
 from selenium.common.exceptions import StaleElementReferenceException, WebDriverException
 from selenium.webdriver import Chrome, ChromeOptions
 from selenium.webdriver.chrome.service import Service
 from selenium.webdriver.common.by import By
 from selenium.webdriver.remote.webelement import WebElement
 from selenium.webdriver.support.wait import WebDriverWait
+
+from lfield.authority.pages.page_keys import read_page
 
 CHROMIUM, DRIVER = shutil.which("chromium"), shutil.which("chromedriver")
 #: Seconds for anything that is only a matter of time on a busy machine.
@@ -37,13 +44,20 @@ _OPTIONS = (
 )
 
 
+def believing(keys: Path) -> list[str]:
+    """Options that have a browser believe the certificate of a page, by the folder of its keys, alone."""
+    info = x509.load_pem_x509_certificate(read_page(keys).certificate).public_key()
+    spki = info.public_bytes(Encoding.DER, PublicFormat.SubjectPublicKeyInfo)
+    return [f"--ignore-certificate-errors-spki-list={b64encode(sha256(spki).digest()).decode()}"]
+
+
 class Browser:
     """One window. Things are found by their `data-testid`."""
 
-    def __init__(self) -> None:
+    def __init__(self, *more: str) -> None:
         options = ChromeOptions()
         options.binary_location = CHROMIUM or ""
-        for option in _OPTIONS:
+        for option in (*_OPTIONS, *more):
             options.add_argument(option)
         options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
         self.driver = Chrome(options=options, service=Service(DRIVER))

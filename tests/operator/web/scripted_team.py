@@ -266,7 +266,9 @@ class Script:
 
 
 async def main() -> None:
-    from lfield.operator.web.server import Served, listening, serve
+    from lfield.authority.pages.page_keys import read_page
+    from lfield.operator.web.server import Served, serve
+    from lfield.operator.web.site import on_a_network, on_this_computer
     from lfield.operator.web.tiles import Tiles
 
     parser = argparse.ArgumentParser()
@@ -274,6 +276,8 @@ async def main() -> None:
     parser.add_argument("--earth", action="store_true")
     parser.add_argument("--tiles", type=Path)
     parser.add_argument("--port", type=int, default=0)
+    parser.add_argument("--listen")
+    parser.add_argument("--page-keys", type=Path)
     args = parser.parse_args()
     script = Script(args.count, args.earth)
     loop = asyncio.get_running_loop()
@@ -285,7 +289,9 @@ async def main() -> None:
     threading.Thread(target=read, daemon=True).start()
     tiles = Tiles(args.tiles) if args.tiles else None
     served = Served("first-flight", script, script, SystemClock(), tiles)
-    await serve(served, listening(args.port), lambda link: print(link, flush=True))
+    here = on_this_computer(args.port) if args.listen is None else None
+    site = here or on_a_network(args.listen, args.port, read_page(args.page_keys))
+    await serve(served, site, lambda link: print(link, flush=True))
 
 
 if __name__ == "__main__":

@@ -1,0 +1,249 @@
+"""`lfield watch --listen`: what it takes, and what a browser may then do: what the keys of `watch` may."""
+
+from __future__ import annotations
+
+import http.client
+import json
+import ssl
+import time
+from collections.abc import Callable
+from pathlib import Path
+from urllib.parse import urlsplit
+
+import pytest
+from real_browser import Browser, believing, needs_browser
+
+from lfield.authority.identity import ALL, Right
+from lfield.authority.pages.browsers import new_browsers
+from lfield.authority.pages.page_keys import write_page
+
+ADDRESS, DAY, PATIENCE = "127.0.0.2", 86400.0, 60.0
+PROGRAM = "resource Bell { init(string[] arg) { } portal ring() { } }\n"
+DEPLOYMENT = "//Bell:bell@alpha\n"
+
+
+def page_in(folder: Path, *names: str, begins: float = 60.0, ends: float = DAY) -> bytes:
+    """Keys of a page in a folder; the root that browsers must believe."""
+    root = new_browsers(1.0, time.time() + 9 * DAY)
+    made = root.issue(names or (ADDRESS,), at=time.time() - begins, ends=time.time() + ends)
+    write_page(folder, made.certificate, made.key)
+    return root.certificate
+
+
+@pytest.mark.parametrize(
+    ("line", "status", "words"),
+    [
+        (
+            "--listen 127.0.0.2",
+            64,
+            "--page-keys DIR, or anybody on the way could press the buttons: 'lfield keys ",
+        ),
+        ("--listen 127.0.0.2", 64, "'lfield keys page 127.0.0.2' makes them"),
+        ("--page-keys page", 64, "--page-keys is for a page on a network: say where with --listen ADDRESS"),
+        (
+            "--listen 0.0.0.0 --page-keys page",
+            64,
+            "'0.0.0.0' is no address or name that a browser could open",
+        ),
+        ("--listen [::] --page-keys page", 64, "'[::]' is no address or name that a browser could open"),
+        ("--listen a:b --page-keys page", 64, "'a:b' is no address or name"),
+        (
+            "--listen 127.0.0.2 --page-keys none",
+            65,
+            "none has no keys of a page (page.crt, page.key): 'lfield ",
+        ),
+        (
+            "--listen 127.0.0.3 --page-keys page",
+            65,
+            "is for 127.0.0.2 and ground.local, not for 127.0.0.3: 'lfield",
+        ),
+        ("--listen 127.0.0.2 --page-keys ended", 65, "UTC: 'lfield keys page 127.0.0.2' makes one"),
+        ("--listen 127.0.0.2 --page-keys early", 65, "set the clock"),
+        ("--listen 127.0.0.2 --page-keys open", 65, "it is secret, and others may read it: run 'chmod 600"),
+        (
+            "--listen 127.0.0.2 --page-keys link",
+            65,
+            "page.key cannot be used: it is a link; copy the file itself",
+        ),
+        ("--listen 127.0.0.2 --page-keys half", 65, "page.key is not there"),
+    ],
+)
+def test_what_cannot_be_served_is_refused_with_what_to_do(
+    here, lfield, line: str, status: int, words: str
+) -> None:
+    deployment, folder = lfield.mission(PROGRAM, DEPLOYMENT), lfield.folder
+    for name in ("page", "open", "link", "half"):
+        page_in(folder / name, ADDRESS, "ground.local")
+    page_in(folder / "ended", begins=2 * DAY, ends=-DAY)
+    page_in(folder / "early", begins=-DAY, ends=2 * DAY)
+    (folder / "open" / "page.key").chmod(0o644)
+    (folder / "link" / "page.key").unlink()
+    (folder / "link" / "page.key").symlink_to(folder / "page" / "page.key")
+    (folder / "half" / "page.key").unlink()
+    said = here("watch", "--deploy", deployment, *line.split())
+    assert said.status == status, said
+    assert words in said.err[-1]
+
+
+@pytest.mark.process
+def test_the_command_that_keys_page_tells_serves_the_page(here, lfield, alone) -> None:
+    deployment = lfield.mission(PROGRAM, DEPLOYMENT)
+    assert here("keys", "init", "authority").status == 0
+    told = here("keys", "page", ADDRESS, "--authority", "authority").out[1].split()[1:]
+    page = lfield.start(*told[:-1], deployment, env=alone)
+    link = page.wait_for(rf"open this link: (https://{ADDRESS}:\d+/\?token=\S+)")[1]
+    status, _ = answer_of(link, (lfield.folder / "authority" / "browsers.crt").read_bytes())
+    assert status == 303
+
+
+def answer_of(link: str, root: bytes, **headers: str) -> tuple[int, str]:
+    """What a browser that believes a root is answered, and the cookie that it gets."""
+    address = urlsplit(link)
+    context = ssl.create_default_context(cadata=root.decode())
+    made = http.client.HTTPSConnection(
+        address.hostname or "", address.port, context=context, timeout=PATIENCE
+    )
+    try:
+        made.request("GET", f"{address.path}?{address.query}", headers=headers)
+        answer = made.getresponse()
+        answer.read()
+        return answer.status, answer.headers.get("set-cookie", "").partition(";")[0]
+    finally:
+        made.close()
+
+
+# --- rights -----------------------------------------------------------------------------------------------
+
+
+class Browsing:
+    """A person's browser on the page of a `lfield watch` that has their keys."""
+
+    def __init__(self, link: str, root: bytes) -> None:
+        self._address, self._root = urlsplit(link), root
+        _, self._cookie = answer_of(link, root)
+        self.origin = f"https://{self._address.netloc}"
+
+    def asks(self, path: str, says: object = None) -> tuple[int, str]:
+        context = ssl.create_default_context(cadata=self._root.decode())
+        made = http.client.HTTPSConnection(
+            self._address.hostname or "", self._address.port, context=context, timeout=PATIENCE
+        )
+        try:
+            body = None if says is None else json.dumps(says)
+            headers = {"Cookie": self._cookie, "Origin": self.origin}
+            made.request("GET" if says is None else "POST", path, body, headers)
+            answer = made.getresponse()
+            return answer.status, answer.read().decode()
+        finally:
+            made.close()
+
+    def look(self) -> dict:
+        return json.loads(self.asks("/look")[1])["look"]
+
+    def until(self, told: Callable[[dict], bool]) -> dict:
+        """A look that tells it."""
+        end = time.monotonic() + PATIENCE
+        while not told(look := self.look()):
+            assert time.monotonic() < end, look
+            time.sleep(0.1)
+        return look
+
+    def presses(self, action: str) -> tuple[int, str]:
+        return self.asks("/act", {"action": action})
+
+
+@pytest.fixture
+def team(lfield, alone):
+    """A host that asks for keys; `begin(name, *may)` is the page of somebody who has some, and its root."""
+    deployment = lfield.mission(PROGRAM, DEPLOYMENT)
+    lfield.write("mission.access.yaml", "people: {maria: [observe]}\n")
+    maps = lfield.maps(["alpha"])
+    host = lfield.start("up", "--deploy", deployment, *maps, "--first-start", "--host", "alpha", env=alone)
+    host.wait_for("alpha")
+
+    def begin(name: str, *may: Right) -> tuple[str, bytes]:
+        lfield.keys.put(name, lfield.keys.made("person", name, *may))
+        root = page_in(lfield.folder / "page")
+        # As on another computer: it sees no socket of the host.
+        (lfield.folder / "away").mkdir(mode=0o700, exist_ok=True)
+        away = {"XDG_RUNTIME_DIR": f"{lfield.folder}/away", "TMPDIR": f"{lfield.folder}/away"}
+        words = (
+            "watch",
+            "--deploy",
+            deployment,
+            *maps,
+            "--keys",
+            lfield.keys.folder / name,
+            "--listen",
+            ADDRESS,
+        )
+        page = lfield.start(*words, "--page-keys", lfield.folder / "page", env=away)
+        return page.wait_for(r"open this link: (https://\S+)")[1], root
+
+    return begin
+
+
+def linked(look: dict) -> bool:
+    return all(host["linked"] for host in look["hosts"])
+
+
+@pytest.mark.process
+def test_who_may_observe_alone_looks_and_presses_nothing(team) -> None:
+    page = Browsing(*team("anna", Right.OBSERVE))
+    look = page.until(linked)
+    assert set(look["barred"]) == {"stop", "lift", "pause", "resume"}
+    for order, why in look["barred"].items():
+        assert "anna may observe, and this takes the right to" in why
+        assert page.presses(order) == (403, why)
+    look = page.until(linked)
+    assert (look["stands"], look["paused"]) == (False, [])
+
+
+@pytest.mark.process
+def test_a_mission_that_leaves_somebody_less_leaves_them_stop(team) -> None:
+    page = Browsing(*team("maria", *ALL))
+    look = page.until(linked)
+    assert set(look["barred"]) == {"lift", "resume"}
+    told = "maria may not operate in this mission: mission.access.yaml:1 gives maria observe"
+    assert set(look["barred"].values()) == {told}
+    assert page.presses("stop")[0] == 200
+    page.until(lambda look: look["stands"])
+    assert page.presses("lift") == (403, told)
+    assert page.until(linked)["stands"]
+
+
+@pytest.mark.process
+def test_whom_the_mission_says_nothing_of_lifts_what_they_stopped(team) -> None:
+    page = Browsing(*team("otto", Right.OPERATE, Right.STOP, Right.OBSERVE))
+    assert page.until(linked)["barred"] == {}
+    assert page.presses("stop")[0] == 200
+    page.until(lambda look: look["stands"])
+    assert page.presses("lift")[0] == 200
+    page.until(lambda look: not look["stands"])
+
+
+@needs_browser
+@pytest.mark.process
+@pytest.mark.browser
+def test_a_browser_without_rights_has_stop_greyed_with_the_sentence(team, lfield) -> None:
+    link, _ = team("anna", Right.OBSERVE)
+    browser = Browser(*believing(lfield.folder / "page"), f"--proxy-bypass-list={ADDRESS}")
+    try:
+        browser.open(link)
+        browser.says("state", "1 of 1 hosts linked")
+        browser.wait(lambda: not browser.thing("stop").is_enabled())
+        browser.says("barred-stop", "anna may observe, and this takes the right to stop")
+        assert "--may observe,stop" in browser.thing("stop").get_attribute("title")
+        for button in ("pause", "resume", "lift"):
+            assert not browser.thing(button).is_enabled()
+        # Whoever gets round the page's own button is refused by its server.
+        press = """
+            const [done] = arguments;
+            const answer = fetch("act", {method: "POST", body: '{"action": "stop"}'});
+            answer.then(async (said) => done(said.status + " " + await said.text()));
+        """
+        browser.driver.set_script_timeout(PATIENCE)
+        assert browser.driver.execute_async_script(press).startswith("403 anna may observe, and this takes")
+        assert "STOPPED" not in browser.text("state")
+    finally:
+        browser.close()

@@ -1,0 +1,214 @@
+"""The page by https at an address that is not 127.0.0.1: who reaches it, and what nobody gets without keys.
+
+127.0.0.2 is another address to all that is tried here; browsers have no exception for http there.
+"""
+
+from __future__ import annotations
+
+import http.client
+import socket
+import ssl
+import time
+from pathlib import Path
+from urllib.parse import urlsplit
+
+import pytest
+from real_browser import Browser, believing, needs_browser
+
+from lfield.authority.pages.browsers import Browsers, new_browsers
+from lfield.authority.pages.page_keys import PageKeys, read_page, write_page
+from lfield.errors import AddressError, KeysError
+from lfield.operator.web.door import FOREIGN_ADDRESS, FOREIGN_PAGE, NO_SESSION, OLD_LINK, Door
+from lfield.operator.web.site import Site, on_a_network
+
+ADDRESS, NAME, DAY = "127.0.0.2", "ground.local", 86400.0
+
+
+@pytest.fixture(scope="module")
+def root() -> Browsers:
+    return new_browsers(time.time() - 60.0, time.time() + 9 * DAY)
+
+
+@pytest.fixture(scope="module")
+def folder(root: Browsers, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The keys of a page."""
+    made = root.issue([ADDRESS, NAME], at=time.time() - 60.0, ends=time.time() + DAY)
+    folder = tmp_path_factory.mktemp("keys") / "page"
+    write_page(folder, made.certificate, made.key)
+    return folder
+
+
+@pytest.fixture
+def page(page_of, folder: Path):
+    return page_of("--listen", ADDRESS, "--page-keys", folder)
+
+
+class Client:
+    """A browser's place: it believes one root, and sends what it is told."""
+
+    def __init__(self, link: str, root: bytes) -> None:
+        address = urlsplit(link)
+        self.host, self.port, self.path = address.hostname or "", address.port or 0, f"/?{address.query}"
+        self._context = ssl.create_default_context(cadata=root.decode())
+
+    def asks(self, path: str, method: str = "GET", body: str = "", **headers: str) -> tuple[int, str, str]:
+        """Status, text, and the cookie that came."""
+        made = http.client.HTTPSConnection(self.host, self.port, context=self._context, timeout=60.0)
+        try:
+            made.connect()
+            assert made.sock.version() == "TLSv1.3"
+            made.request(method, path, body or None, headers)
+            answer = made.getresponse()
+            return answer.status, answer.read().decode(), answer.headers.get("set-cookie", "")
+        finally:
+            made.close()
+
+
+@pytest.fixture
+def client(page, root: Browsers) -> Client:
+    return Client(page.link, root.certificate)
+
+
+@pytest.mark.process
+def test_the_link_opens_the_page_for_whoever_has_the_root(page, client: Client) -> None:
+    assert page.link.startswith(f"https://{ADDRESS}:")
+    status, _, cookie = client.asks(client.path)
+    assert status == 303
+    name, _, rest = cookie.partition("=")
+    assert name == f"__Host-lfield-{client.port}"
+    assert {"Secure", "HttpOnly", "SameSite=Strict", "Path=/"} < set(rest.split("; "))
+    session = cookie.partition(";")[0]
+    assert client.asks("/look", Cookie=session)[0] == 200
+    # The certificate's other name is the page's too.
+    assert client.asks("/look", Cookie=session, Host=f"{NAME}:{client.port}")[0] == 200
+    origin = f"https://{ADDRESS}:{client.port}"
+    assert client.asks("/act", "POST", '{"action":"stop"}', Cookie=session, Origin=origin)[0] == 200
+    assert page.line() != page.link
+    assert page.line() == "pressed stop"
+
+    # A link that was used, no cookie, a foreign page, a foreign name, http as the page's own origin.
+    assert client.asks(client.path)[:2] == (403, OLD_LINK)
+    for path in ("/", "/look", "/_nicegui/"):
+        assert client.asks(path)[:2] == (403, NO_SESSION)
+    for other in ("", "https://evil.example", f"http://{ADDRESS}:{client.port}"):
+        headers = {"Cookie": session, **({"Origin": other} if other else {})}
+        assert client.asks("/act", "POST", '{"action":"lift"}', **headers)[:2] == (403, FOREIGN_PAGE)
+    for host in ("evil.example", f"localhost:{client.port}", f"127.0.0.1:{client.port}", ADDRESS):
+        assert client.asks("/look", Cookie=session, Host=host)[:2] == (403, FOREIGN_ADDRESS)
+
+
+@pytest.mark.process
+def test_who_may_not_press_a_button_cannot_press_it_without_the_page_either(page, client: Client) -> None:
+    page.do("bar stop your keys let you observe, not stop")
+    cookie = client.asks(client.path)[2].partition(";")[0]
+    page.line()
+    origin = f"https://{ADDRESS}:{client.port}"
+    said = client.asks("/act", "POST", '{"action":"stop"}', Cookie=cookie, Origin=origin)
+    assert said[:2] == (403, "your keys let you observe, not stop")
+    assert client.asks("/act", "POST", '{"action":"pause"}', Cookie=cookie, Origin=origin)[0] == 200
+    assert page.line() == "pressed pause"
+
+
+@pytest.mark.process
+def test_without_tls_nothing_is_answered_and_strangers_believe_nobody(page, client: Client) -> None:
+    with socket.create_connection((client.host, client.port), 60.0) as plain:
+        plain.sendall(f"GET {client.path} HTTP/1.1\r\nHost: {ADDRESS}:{client.port}\r\n\r\n".encode())
+        assert b"HTTP" not in b"".join(iter(lambda: plain.recv(1 << 12), b""))
+    with pytest.raises(ssl.SSLCertVerificationError):
+        Client(page.link, new_browsers(time.time() - 60.0, time.time() + DAY).certificate).asks("/")
+    old = ssl.create_default_context()
+    old.check_hostname, old.verify_mode, old.maximum_version = (
+        False,
+        ssl.CERT_NONE,
+        ssl.TLSVersion.TLSv1_2,
+    )
+    with socket.create_connection((client.host, client.port), 60.0) as made, pytest.raises(ssl.SSLError):
+        old.wrap_socket(made)
+    # The link is as good as it was.
+    assert client.asks(client.path)[0] == 303
+
+
+@pytest.mark.process
+@needs_browser
+@pytest.mark.browser
+def test_a_browser_opens_it_and_presses_stop(page_of, folder: Path) -> None:
+    page = page_of("--listen", ADDRESS, "--page-keys", folder)
+    browser = Browser(*believing(folder), f"--proxy-bypass-list={ADDRESS}")
+    try:
+        browser.open(page.link)
+        assert browser.driver.current_url == f"{page.address}/"
+        cookies = browser.driver.get_cookies()
+        assert [(c["name"][:7], c["secure"], c["httpOnly"], c["sameSite"]) for c in cookies] == [
+            ("__Host-", True, True, "Strict")
+        ]
+        page.line()
+        browser.thing("stop").click()
+        assert page.line() == "pressed stop"
+        browser.says("confirmed-lead.fc", "safe")
+        assert browser.asked_hosts() == {page.address.removeprefix("https://")}
+        assert browser.errors == []
+    finally:
+        browser.close()
+
+
+# --- sites ------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def keys(folder: Path) -> PageKeys:
+    return read_page(folder)
+
+
+def test_a_site_has_the_names_of_its_certificate(keys: PageKeys) -> None:
+    site = on_a_network(ADDRESS, 0, keys)
+    port = site.port
+    assert site.addresses == [f"{ADDRESS}:{port}", f"{NAME}:{port}"]
+    assert site.link("t") == f"https://{ADDRESS}:{port}/?token=t"
+    site.opened.close()
+
+
+class Bound:
+    """A socket that says that it listens on a port."""
+
+    def __init__(self, port: int) -> None:
+        self.port = port
+
+    def getsockname(self) -> tuple[str, int]:
+        return "", self.port
+
+
+@pytest.mark.parametrize(
+    ("port", "tls", "addresses"),
+    [
+        (8470, True, ["10.0.0.1:8470", "[fd00::2]:8470"]),
+        (443, True, ["10.0.0.1", "[fd00::2]"]),
+        (80, True, ["10.0.0.1:80", "[fd00::2]:80"]),
+        (80, False, ["10.0.0.1", "[fd00::2]"]),
+    ],
+)
+def test_browsers_leave_out_the_usual_port(port: int, tls: bool, addresses: list[str]) -> None:
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER) if tls else None
+    site = Site(Bound(port), ("10.0.0.1", "fd00::2"), context)  # type: ignore[arg-type]
+    assert site.addresses == addresses
+    assert site.link("t") == f"http{'s' if tls else ''}://{addresses[0]}/?token=t"
+    assert Door(site.addresses, str, site.scheme).secure is tls
+
+
+def unknown(*words: object, **more: object) -> list[object]:
+    raise socket.gaierror(socket.EAI_NONAME, "Name or service not known")
+
+
+def test_what_is_no_address_of_this_computer_is_told(keys: PageKeys, monkeypatch) -> None:
+    with pytest.raises(AddressError, match="assign requested address"):
+        on_a_network("10.99.99.99", 0, keys)
+    with pytest.raises(AddressError, match="which no other computer reaches; give the address"):
+        on_a_network("localhost", 0, keys)
+    monkeypatch.setattr(socket, "getaddrinfo", unknown)
+    with pytest.raises(AddressError, match="nobody here knows the address of that name"):
+        on_a_network(NAME, 0, keys)
+
+
+def test_keys_that_openssl_cannot_use_are_told(keys: PageKeys) -> None:
+    broken = PageKeys(keys.names, keys.begins, keys.ends, keys.certificate, b"")
+    with pytest.raises(KeysError, match="the page's keys cannot be used"):
+        on_a_network(ADDRESS, 0, broken)
