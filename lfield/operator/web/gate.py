@@ -29,10 +29,20 @@ _HEADERS = [
 
 
 class Gate:
-    """An application (ASGI) behind a door. `entered` is called when a link was used: the next is another."""
+    """An application (ASGI) behind a door. `entered` is called when a link was used: the next is another.
 
-    def __init__(self, app: App, door: Door, cookie: str, entered: Callable[[], None]) -> None:
-        self._app, self._door, self._entered = app, door, entered
+    `known` is told who has brought a session, by the address and port of that connection.
+    """
+
+    def __init__(
+        self,
+        app: App,
+        door: Door,
+        cookie: str,
+        entered: Callable[[], None],
+        known: Callable[[tuple[str, int]], None],
+    ) -> None:
+        self._app, self._door, self._entered, self._known = app, door, entered, known
         # A cookie of that name comes from https alone, browsers see to it, and from this very host.
         self._cookie = f"__Host-{cookie}" if door.secure else cookie
 
@@ -47,6 +57,7 @@ class Gate:
         elif refusal := self._door.refusal(knock):
             await _refuse(scope, refusal, send)
         else:
+            self._known(scope["client"])
             await self._app(scope, receive, _with_policy(send))
 
     def _knock(self, scope: Scope) -> Knock:

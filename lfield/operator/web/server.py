@@ -6,7 +6,9 @@ NiceGUI brings server, page and components; it is imported when a page is served
 from __future__ import annotations
 
 import asyncio
+import random
 import secrets
+import socket
 from collections.abc import Awaitable, Callable, Generator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -22,6 +24,7 @@ from lfield.clock import Clock
 from lfield.operator.sight.actions import Actions, Ordered
 from lfield.operator.sight.seen import Sight
 from lfield.operator.web.answers import answered, ordered
+from lfield.operator.web.callers import Callers
 from lfield.operator.web.door import Door
 from lfield.operator.web.gate import Gate
 from lfield.operator.web.look import Looks
@@ -66,18 +69,19 @@ async def serve(served: Served, site: Site, tell: Callable[[str], None]) -> None
         cache_control_directives="no-cache",
         gzip_middleware_factory=None,
     )
+    callers = Callers(site.opened, site.tls, random.SystemRandom())
     config = uvicorn.Config(
-        Gate(app, door, f"lfield-{site.port}", tell_link),
+        Gate(app, door, f"lfield-{site.port}", tell_link, callers.known),
         log_config=None,
+        # Who calls is who is at the other end, whatever they say.
+        proxy_headers=False,
         access_log=False,
         lifespan="on",
         # Pages that are open are not waited for.
         timeout_graceful_shutdown=1,
     )
-    config.load()
-    config.ssl = site.tls
-    server = _Server(config)
-    serving = asyncio.create_task(server.serve([site.opened]))
+    server = _Server(config, callers)
+    serving = asyncio.create_task(server.serve([]))
     tell_link()
     try:
         await asyncio.shield(serving)
@@ -88,7 +92,25 @@ async def serve(served: Served, site: Site, tell: Callable[[str], None]) -> None
 
 
 class _Server(uvicorn.Server):
-    """One that leaves Ctrl-C to the command."""
+    """One that leaves Ctrl-C to the command, and the taking of calls to `callers`."""
+
+    def __init__(self, config: uvicorn.Config, callers: Callers) -> None:
+        super().__init__(config)
+        self._callers = callers
+        self._taking: asyncio.Task[None] | None = None
+
+    async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+        await super().startup(sockets)
+        self._taking = asyncio.create_task(self._callers.take(self._protocol))
+
+    async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
+        if self._taking is not None:
+            self._taking.cancel()
+        await super().shutdown(sockets)
+
+    def _protocol(self) -> asyncio.Protocol:
+        made: Callable[..., asyncio.Protocol] = self.config.http_protocol_class
+        return made(config=self.config, server_state=self.server_state, app_state=self.lifespan.state)
 
     @contextmanager
     def capture_signals(self) -> Generator[None, None, None]:

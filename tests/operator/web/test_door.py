@@ -85,6 +85,7 @@ def knock(gate: Gate, path: str, method: str = "GET", kind: str = "http", **head
         "type": kind,
         "path": path,
         "method": method,
+        "client": ("127.0.0.1", 4711),
         "query_string": query.encode(),
         "headers": [(name.encode(), value.encode("latin-1")) for name, value in given.items()],
     }
@@ -108,8 +109,13 @@ def inside() -> Inside:
 
 
 @pytest.fixture
-def gate(inside, door) -> Gate:
-    return Gate(inside, door, "lfield-8000", lambda: None)
+def known() -> list[tuple[str, int]]:
+    return []
+
+
+@pytest.fixture
+def gate(inside, door, known) -> Gate:
+    return Gate(inside, door, "lfield-8000", lambda: None, known.append)
 
 
 def entered(gate: Gate, door: Door) -> str:
@@ -123,11 +129,13 @@ def entered(gate: Gate, door: Door) -> str:
     return cookie.partition(";")[0]
 
 
-def test_the_link_is_changed_for_a_cookie(gate, door, inside):
+def test_the_link_is_changed_for_a_cookie(gate, door, inside, known):
     cookie = entered(gate, door)
+    assert known == []
     start, _ = knock(gate, "/look", cookie=cookie)
     assert start["status"] == 200
     assert inside.asked == ["/look"]
+    assert known == [("127.0.0.1", 4711)]
 
 
 def test_all_that_is_answered_forbids_the_browser_to_ask_others(gate, door):
@@ -151,11 +159,11 @@ def test_all_that_is_answered_forbids_the_browser_to_ask_others(gate, door):
         ("/act", "POST", {"origin": OURS}),
     ],
 )
-def test_strangers_hear_a_sentence_and_nothing_else(gate, inside, path, method, headers):
+def test_strangers_hear_a_sentence_and_nothing_else(gate, inside, known, path, method, headers):
     start, body = knock(gate, path, method, **headers)
     assert start["status"] == 403
     assert b"'lfield watch'" in body["body"]
-    assert inside.asked == []
+    assert inside.asked == known == []
 
 
 def test_a_websocket_of_another_page_is_closed(gate, door, inside):
