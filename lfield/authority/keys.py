@@ -19,6 +19,9 @@ Holder = Literal["host", "person"]
 #: The largest certificate or key that is read, and the largest list, in bytes. A list of 1,500 fits.
 MAX_PEM, MAX_LIST = 16 << 10, 64 << 10
 
+#: The certificate of a page, in a folder of its own (pages/page_keys.py).
+PAGE = "page.crt"
+
 AUTHORITY, REVOKED = "authority.pem", "revoked.crl"
 
 

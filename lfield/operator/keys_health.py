@@ -8,7 +8,7 @@ from pathlib import Path
 from lfield.authority import folder as folders
 from lfield.authority.identity import Identity, in_order
 from lfield.authority.judge import Revoked, when
-from lfield.authority.keys import Holder, Keys, certificate_name
+from lfield.authority.keys import PAGE, Holder, Keys, certificate_name
 from lfield.errors import KeysError
 from lfield.operator.doctor import Finding
 
@@ -33,7 +33,9 @@ def keys_here(environment: Mapping[str, str], at: float, system: Path = folders.
 def health(folder: Path, at: float) -> Iterator[Finding]:
     """What is to be said of the keys in a folder, at this time in seconds since 1970 UTC."""
     holders = [holder for holder in _HOLDERS if (folder / certificate_name(holder)).exists()]
-    if not holders:
+    if (folder / PAGE).exists():
+        yield _page(folder, at)
+    elif not holders:
         yield Finding("problem", f"keys {folder}: there are none", "copy there what 'lfield keys' has made")
     for holder in holders:
         try:
@@ -43,6 +45,25 @@ def health(folder: Path, at: float) -> Iterator[Finding]:
             # Of a file that cannot be used it names the path.
             place = "keys" if str(folder) in str(error) else f"keys {folder}:"
             yield Finding("problem", f"{place} {error}")
+
+
+def _page(folder: Path, at: float) -> Finding:
+    from lfield.authority.pages.page_keys import read_page
+
+    try:
+        page = read_page(folder)
+    except KeysError as error:
+        return Finding("problem", f"keys {error}")
+    if refusal := page.refusal(page.names[0], at):
+        return Finding("problem", f"keys {folder}: {refusal}")
+    what = f"keys {folder}: a page at {', '.join(page.names)}, "
+    if page.ends - at < SOON:
+        days, renew = (
+            int((page.ends - at) // 86400),
+            f"'lfield keys page {' '.join(page.names)}' makes the next",
+        )
+        return Finding("warning", f"{what}end in {days} days, {when(page.ends)}", renew)
+    return Finding("ok", f"{what}until {when(page.ends)}")
 
 
 def _finding(folder: Path, keys: Keys, at: float) -> Finding:

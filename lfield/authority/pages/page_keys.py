@@ -21,14 +21,14 @@ from cryptography.hazmat.primitives.asymmetric.types import PublicKeyTypes
 
 from lfield.authority.folder import read_file
 from lfield.authority.judge import when
-from lfield.authority.keys import MAX_PEM
+from lfield.authority.keys import MAX_PEM, PAGE
 from lfield.authority.pages.names import covers
 from lfield.authority.pem import sound
 from lfield.errors import KeysError
 from lfield.text.private import write_private
 from lfield.text.suggest import listed
 
-CERTIFICATE, KEY = "page.crt", "page.key"
+CERTIFICATE, KEY = PAGE, "page.key"
 
 
 @dataclass(frozen=True, slots=True)

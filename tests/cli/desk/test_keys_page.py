@@ -39,6 +39,22 @@ def test_a_page_is_made_with_a_root_that_is_made_once(here, authority: Path) -> 
     assert 29 * 86400 < read_page(page).ends - keys.begins < 31 * 86400
 
 
+def test_the_keys_of_a_page_are_shown_with_what_is_wrong(here, authority: Path) -> None:
+    here("keys", "page", "192.168.1.20", "ground.local", "--days", "200")
+    page = authority / "pages" / "192.168.1.20"
+    shown = here("keys", "show", page)
+    assert (shown.status, len(shown.out)) == (0, 1)
+    assert shown.out[0].startswith(f"keys {page}: a page at 192.168.1.20, ground.local, until 20")
+    here("keys", "page", "192.168.1.20", "ground.local", "--days", "9")
+    soon = here("keys", "show", page)
+    assert ", end in 8 days, 20" in soon.out[0]
+    assert "'lfield keys page 192.168.1.20 ground.local' makes the next" in soon.out[1]
+    (page / "page.key").chmod(0o644)
+    said = here("keys", "show", page)
+    assert said.status == 69
+    assert f"run 'chmod 600 {page}/page.key'" in said.out[0]
+
+
 @pytest.mark.parametrize(
     ("line", "status", "words"),
     [
