@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import socket
 import ssl
 from dataclasses import dataclass
@@ -9,6 +10,7 @@ from ipaddress import ip_address
 from typing import TYPE_CHECKING
 
 from lfield.errors import AddressError, KeysError
+from lfield.net.tcp import refusal
 from lfield.net.tls import as_file
 from lfield.net.transport import join_address
 
@@ -18,6 +20,8 @@ if TYPE_CHECKING:
 LOOPBACK = "127.0.0.1"
 #: The ports that browsers leave out.
 _USUAL = {"http": 80, "https": 443}
+
+_NOT_HERE = "it is no address of this computer; 'ip address' lists those that it has"
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,7 +99,8 @@ def _listening(address: str, port: int) -> socket.socket:
         opened.listen()
     except OSError as error:
         opened.close()
-        raise AddressError(join_address(address, port), (error.strerror or str(error)).lower()) from None
+        why = _NOT_HERE if error.errno == errno.EADDRNOTAVAIL else refusal(error)
+        raise AddressError(join_address(address, port), why) from None
     return opened
 
 

@@ -125,7 +125,7 @@ def test_a_port_that_is_taken_is_refused(here, lfield):
         port = other.getsockname()[1]
         said = here("watch", "--deploy", lfield.mission(PROGRAM, DEPLOYMENT), "--port", port)
     assert said.status == 69
-    assert "address already in use" in said.err[-1]
+    assert "the port is in use; stop the program that has it" in said.err[-1]
 
 
 def test_without_nicegui_the_sentence_says_what_to_install(here, lfield, monkeypatch):

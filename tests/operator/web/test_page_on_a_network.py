@@ -199,7 +199,7 @@ def unknown(*words: object, **more: object) -> list[object]:
 
 
 def test_what_is_no_address_of_this_computer_is_told(keys: PageKeys, monkeypatch) -> None:
-    with pytest.raises(AddressError, match="assign requested address"):
+    with pytest.raises(AddressError, match="it is no address of this computer"):
         on_a_network("10.99.99.99", 0, keys)
     with pytest.raises(AddressError, match="which no other computer reaches; give the address"):
         on_a_network("localhost", 0, keys)
