@@ -181,9 +181,11 @@ def _look_at_dumps(folder: Path) -> None:
 def _run_one(mission: Mission, args: argparse.Namespace, *, built: bool) -> int:
     from lfield import loop
     from lfield.cli.run.own_keys import built_here, proof_of
+    from lfield.host.process.leash import keep_for_oneself
     from lfield.host.process.run import run_host
     from lfield.net.local import own_host
 
+    keep_for_oneself()
     name = mission.team.lookup(args.host) if args.host else own_host(mission.team.hosts)
     proof = proof_of(name, args)
     if proof is not None and built:

@@ -1,4 +1,4 @@
-"""What a host hears from the process that started it, over its standard input.
+"""What a host has from the process that started it: descriptors, and news over its standard input.
 
 A line is news: `reaped bravo` says that the process of another host has ended for good. The end of the stream
 means that whoever holds the other end has gone, or wants this host to stop.
@@ -9,7 +9,10 @@ from __future__ import annotations
 import asyncio
 import os
 from collections.abc import Callable
+from contextlib import suppress
 
+#: Input, output and what goes wrong: those that everybody has.
+_STANDARD = 3
 #: What a line begins with that tells of a host that has ended.
 REAPED = "reaped "
 #: A longer line is none of ours.
@@ -19,6 +22,18 @@ _LONGEST = 4096
 def news(host: str) -> bytes:
     """The line that tells of a host whose process has ended."""
     return f"{REAPED}{host}\n".encode()
+
+
+def keep_for_oneself() -> None:
+    """Hand on to guards and fakes nothing of what this process was given, such as the socket that it is called at.
+
+    They outlive a host that was killed: who calls that would be let in by a socket that nobody reads.
+    """
+    for name in os.listdir("/proc/self/fd"):
+        # That of the folder is closed by now.
+        with suppress(OSError):
+            if int(name) >= _STANDARD:
+                os.set_inheritable(int(name), False)
 
 
 class Leash:

@@ -160,6 +160,31 @@ def test_a_killed_child_whose_vehicle_nobody_has_seen_since_is_worse_than_any_ot
     assert lfield.left() == lfield.guards() != []
 
 
+def test_a_guard_and_a_fake_hold_nothing_that_their_host_was_given(lfield):
+    """Whoever calls a host that was killed is told that nobody listens, by nobody's socket."""
+    deployment = EXAMPLES / "01-first-flight" / "mission.dL"
+    team = lfield.start("up", "--deploy", deployment, "--all", "--sim", "--until-done")
+    port = int(team.wait_for(r"alpha is up on 127\.0\.0\.1:(\d+)")[1])
+    team.wait_for("lead: at ")
+    host = lfield.child("alpha")
+    others = lfield.guards() + lfield.running("lfield.driver.sims")
+    assert len(others) == 4
+    for other in others:
+        # Pipes are for talking to them. The lock of the run is in its folder.
+        shared = descriptors(host) & descriptors(other)
+        assert [name for name in shared if not name.startswith(("pipe:", "anon_inode:", "/dev/"))] == []
+    os.kill(host, signal.SIGKILL)
+    with pytest.raises(ConnectionRefusedError):
+        while True:
+            socket.create_connection(("127.0.0.1", port), 2.0).close()
+    assert team.wait() == 3
+
+
+def descriptors(pid):
+    folder = Path(f"/proc/{pid}/fd")
+    return {os.readlink(folder / name) for name in os.listdir(folder)}
+
+
 def test_ctrl_c_to_one_host(lfield):
     deployment = lfield.mission(TRAVELLER, TWO_HOSTS.format(stay="1000"))
     hosts = lfield.hosts(deployment, ["alpha"], "--until-done")
