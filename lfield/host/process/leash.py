@@ -25,7 +25,7 @@ def news(host: str) -> bytes:
 
 
 def keep_for_oneself() -> None:
-    """Hand on to guards and fakes nothing of what this process was given, such as the socket that it is called at.
+    """Hand on to guards and fakes nothing that this process was given, as the socket that it is called at.
 
     They outlive a host that was killed: who calls that would be let in by a socket that nobody reads.
     """

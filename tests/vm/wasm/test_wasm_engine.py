@@ -10,15 +10,16 @@ import msgspec
 import pytest
 
 from lfield.bytecode.opcodes import BY_NAME
-from lfield.bytecode.program import Debug, Program, Quad, encode_quads
+from lfield.bytecode.program import ARRAY as TYPE_OF_ARRAYS
+from lfield.bytecode.program import INT, Debug, Program, Quad, encode_quads
 from lfield.clock import ManualClock
 from lfield.testing.engines import NEEDED, Switching, switching
 from lfield.testing.golden import Desk, compile_text, settle, team_for
 from lfield.vm.agent import Member
-from lfield.vm.contract import SPENT, Done, Engines, Limits
+from lfield.vm.contract import SPENT, Done, Engines, Limits, NoRoom
 from lfield.vm.machine import Machine
 from lfield.vm.memory.block import Block
-from lfield.vm.memory.layout import OBJECT
+from lfield.vm.memory.layout import ARRAY, FRAME_SLOTS, OBJECT, THREAD_FRAME
 from lfield.vm.memory.threads import new_thread, place_of, thread_template
 from lfield.vm.reference import Engine as Reference
 
@@ -80,6 +81,45 @@ def test_a_budget_ends_at_the_very_same_instruction(budget: int) -> None:
                 break
         images.append(seen)
     assert images[0] == images[1] == images[2]
+
+
+@pytest.mark.parametrize(
+    "body",
+    [
+        "return new Node();",
+        "int[] found = new int[3]; return null;",
+        """string found = "found"; return null;""",
+        "return deep(n);",
+        "int found = n / (n - n); return null;",
+        "int found = numbers[n + 7]; return null;",
+    ],
+)
+@pytest.mark.parametrize("above", [0, 1, 40])
+def test_nothing_is_made_where_the_heap_ends_below_its_top(body: str, above: int) -> None:
+    """The exception that says so may lie above the limit (`Block.reserve`), and who catches it goes on."""
+    program = compile_text(
+        f"""
+        class Node {{ int n; Node next; init() {{ }} }}
+        resource R {{
+          int[] numbers;
+          init(string[] arg) {{ numbers = new int[1]; }}
+          private Node run() {{ int n = 1; {body} }}
+          private Node deep(int n) {{ return null; }}
+        }}
+        """
+    )
+    method = next(i for i, m in enumerate(program.core.methods) if m.name == "run")
+    types = program.core.types
+    whole = next(i for i, t in enumerate(types) if t.kind == TYPE_OF_ARRAYS and types[t.of].kind == INT)
+    seen = []
+    for engine in (Reference(program, float), Engine(program, float)):
+        block, thread = thread_of(program, engine, method)
+        own = block.w[block.w[thread + THREAD_FRAME] + FRAME_SLOTS]
+        block.w[own + 1] = block.allocate(ARRAY, whole, 2)
+        block.end = block.top - above
+        seen.append((engine.run(block, thread, 100, Limits()), bytes(block.image())))
+    assert seen[0] == seen[1]
+    assert isinstance(seen[0][0], NoRoom)
 
 
 def test_what_is_over_in_a_few_instructions_does_not_enter_webassembly(

@@ -29,7 +29,7 @@ from lfield.vm.wasm.lower.graph import Branch, Call, Graph, Instruction, Jump, L
 from lfield.vm.wasm.lower.operands import address_of, filled, image_of, real_constant, reference_to, row_name
 from lfield.vm.wasm.lower.routes import Routes, Switch, Test
 from lfield.vm.wasm.lower.shape import Go, Item, Shape
-from lfield.vm.wasm.lower.table import ROWS
+from lfield.vm.wasm.lower.table import ROWS, no_room
 from lfield.vm.wasm.lower.traps import INDEX, Traps
 
 #: What a function says besides its result: it has returned; it stands where the reference engine must go on;
@@ -321,11 +321,11 @@ class Method:
                 f"(i64.store offset={8 * n} (local.get $p) (i64.const {word}))"
                 for n, word in enumerate(words)
             )
-            return {**made, "size": str(size), "image": " ".join(stores)}
+            return {**made, "size": str(size), "no_room": no_room(size), "image": " ".join(stores)}
         name = f"$made{i.quad.b}{i.row.name}"
         self.segments[name] = struct.pack(f"<{len(words)}q", *words)
         image = f"(memory.init {name} (local.get $p) (i32.const 0) (i32.const {size}))"
-        return {**made, "size": str(size), "image": image}
+        return {**made, "size": str(size), "no_room": no_room(size), "image": image}
 
     def _calls(self, i: Instruction) -> bool:
         return i.quad.a in self.others and i.arguments[0] >= 0
@@ -346,9 +346,7 @@ class Method:
             f"(local.set $x (i64.add (i64.load offset={8 * FRAME_DEPTH} (local.get $frame)) (i64.const 1)))",
             *self._leave("(i64.gt_s (local.get $x) (global.get $deepest))", i.pc, 1),
             "(local.set $p (global.get $top))",
-            *self._leave(
-                f"(i32.gt_u (i32.const {size}) (i32.sub (global.get $end) (local.get $p)))", i.pc, 1
-            ),
+            *self._leave(no_room(size), i.pc, 1),
             f"(global.set $top (i32.add (local.get $p) (i32.const {size})))",
             f"(i64.store (local.get $p) (i64.const {head}))",
             f"(i64.store offset={8 * FRAME_CALLER} (local.get $p) {reference_to('$frame')})",

@@ -39,6 +39,16 @@ def _compare(kind: str, sign: str) -> dict[str, str]:
     }
 
 
+def no_room(size: object, top: str = "(global.get $top)") -> str:
+    """Whether so many bytes above the top do not fit.
+
+    In 64 bits, where no sum comes round: the end of the arena may be near, and the top may be above the end,
+    where the exception that says so was made (`Block.reserve`).
+    """
+    above = f"(i64.add (i64.extend_i32_u {top}) (i64.const {size}))"
+    return f"(i64.gt_u {above} (i64.extend_i32_u (global.get $end)))"
+
+
 def _order(operation: str) -> str:
     """A comparison of strings; null has no order."""
     return f"""
@@ -108,14 +118,14 @@ ROWS: dict[str, str] = {
     """,
     # memory
     "lds": """
-        leave (i32.gt_u (i32.const {size}) (i32.sub (global.get $end) (global.get $top)))
+        leave {no_room}
         (local.set $p (global.get $top))
         {image}
         (global.set $top (i32.add (local.get $p) (i32.const {size})))
         (local.set {a} {made})
     """,
     "new": """
-        leave (i32.gt_u (i32.const {size}) (i32.sub (global.get $end) (global.get $top)))
+        leave {no_room}
         (local.set $p (global.get $top))
         {image}
         (global.set $top (i32.add (local.get $p) (i32.const {size})))

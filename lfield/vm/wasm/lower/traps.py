@@ -13,6 +13,7 @@ from lfield.vm.memory.layout import OBJECT, STRING, header
 from lfield.vm.memory.values import MESSAGE_LENGTH
 from lfield.vm.reference.prepare import Prepared
 from lfield.vm.wasm.lower.operands import text_words
+from lfield.vm.wasm.lower.table import no_room
 
 #: The trap of an index; those with a message that is known beforehand are numbered from 1.
 INDEX = 0
@@ -55,7 +56,7 @@ class Traps:
             cases.append(
                 f"""(local.set $size (i32.const {size}))
     (local.set $object (i32.const {size - 8 * len(self._object(kind))}))
-    (if (i32.gt_u (local.get $size) (i32.sub (global.get $end) (local.get $top)))
+    (if {no_room(size, "(local.get $top)")}
       (then (return (i32.const 0))))
     (memory.init $trap{number} (local.get $top) (i32.const 0) (local.get $size))
     br $made"""
@@ -87,7 +88,7 @@ class Traps:
             f"(i64.store offset={8 * n} (local.get $at) (i64.const {word}))"
             for n, word in enumerate([*text_words(""), *words])
         )
-        return f"""(if (i32.gt_u (i32.const {most}) (i32.sub (global.get $end) (local.get $top)))
+        return f"""(if {no_room(most, "(local.get $top)")}
       (then (return (i32.const 0))))
     (memory.fill (local.get $top) (i32.const 0) (i32.const {_MOST}))
     {before}
