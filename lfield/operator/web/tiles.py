@@ -18,6 +18,10 @@ _KINDS = {b"\x89PNG": "image/png", b"\xff\xd8\xff": "image/jpeg", b"RIFF": "imag
 #: Zooms that can be asked for: at 24 a pixel is 9 mm.
 MAX_ZOOM = 24
 
+_USABLE = "from tiles where typeof(zoom_level) = 'integer' and zoom_level between ? and ?"
+_ZOOMS = f"select min(zoom_level), max(zoom_level) {_USABLE}"
+_SAMPLE = f"select tile_data {_USABLE} limit 1"
+
 
 @dataclass(frozen=True, slots=True)
 class Tile:
@@ -34,19 +38,22 @@ class Tiles:
         """Raises InputFileError for a file that cannot be read, or has no pictures for a map."""
         self._path = path
         if not path.is_file():
-            raise InputFileError(str(path), "there is no such file")
+            why = "it is no file" if path.exists() else "there is no such file"
+            raise InputFileError(str(path), f"{why}; an MBTiles file is meant")
         try:
             self._database = sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro", uri=True)
-            zooms = self._database.execute("select min(zoom_level), max(zoom_level) from tiles").fetchone()
-            sample = self._database.execute("select tile_data from tiles limit 1").fetchone()
+            zooms = self._database.execute(_ZOOMS, (0, MAX_ZOOM)).fetchone()
+            sample = self._database.execute(_SAMPLE, (0, MAX_ZOOM)).fetchone()
+            others = self._database.execute("select zoom_level from tiles limit 1").fetchone()
             self.credit = self._metadata("attribution")
         except sqlite3.Error as error:
             raise _none(path, str(error)) from None
-        if sample is None or not all(isinstance(zoom, int) for zoom in zooms):
-            raise _none(path, "it has no tiles")
+        if sample is None:
+            zoomed = f", only of zoom {others[0]!r}" if others is not None else ""
+            raise _none(path, f"it has no tiles of zoom 0 to {MAX_ZOOM}{zoomed}")
         if not isinstance(sample[0], bytes) or _kind(sample[0]) is None:
             raise _none(path, "its tiles are no pictures (PNG, JPEG or WebP), which vector tiles are not")
-        self.least, self.most = zooms[0], min(zooms[1], MAX_ZOOM)
+        self.least, self.most = zooms
 
     def tile(self, zoom: int, column: int, row: int) -> Tile | None:
         """The tile, its row counted from the north as browsers do; None where the file has none."""

@@ -84,9 +84,26 @@ def words_for_numbers(folder):
     return made(folder / "words", [("near", "left", "top", PNG)])
 
 
+@pytest.mark.parametrize("zooms", [(-3,), (30,), (25, 26, 27), (-1, 25)])
+def test_zooms_that_no_map_has_are_refused_with_a_sentence(tmp_path, zooms):
+    path = made(tmp_path / "far.mbtiles", [(zoom, 0, 0, PNG) for zoom in zooms])
+    with pytest.raises(InputFileError, match=f"it has no tiles of zoom 0 to 24, only of zoom {zooms[0]}"):
+        Tiles(path)
+
+
+def test_of_many_zooms_those_count_that_a_map_has(tmp_path):
+    tiles = Tiles(made(tmp_path / "a.mbtiles", [(zoom, 0, 0, PNG) for zoom in (-3, 2, 9, 30)]))
+    assert (tiles.least, tiles.most) == (2, 9)
+
+
+def test_a_folder_is_no_file(tmp_path):
+    with pytest.raises(InputFileError, match="it is no file; an MBTiles file is meant"):
+        Tiles(tmp_path)
+
+
 @pytest.mark.parametrize(
     "make", [no_file, text, empty, other_database, no_rows, vectors, words_for_numbers, lambda f: f]
 )
 def test_a_file_that_is_none_is_refused_with_a_sentence(tmp_path, make):
-    with pytest.raises(InputFileError, match=r"(no such file|not an MBTiles file)"):
+    with pytest.raises(InputFileError, match=r"(no such file|is no file|not an MBTiles file)"):
         Tiles(make(tmp_path))
