@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Literal, Protocol
 
 from lfield.capability.model import Primitive
 from lfield.capability.offer import Offer, Refusal
+from lfield.errors import LfieldError
+from lfield.wire.observing import EmergencyStopped
 
 Order = Literal["stop", "lift", "pause", "resume"]
 
@@ -15,7 +17,7 @@ Order = Literal["stop", "lift", "pause", "resume"]
 @dataclass(frozen=True, slots=True)
 class Ordered:
     """What came of an order: the devices that did as told, those that did not, the hosts nobody reached, and
-    what else hosts had to say; each with its sentence. `Seen.stop` shows the same and goes on from there."""
+    what else hosts had to say; each with its sentence. `Seen.orders` and `Seen.stop` go on from there."""
 
     order: Order
     confirmed: tuple[str, ...] = ()
@@ -76,3 +78,13 @@ class Actions(Protocol):
 
     async def query(self, text: str) -> Answer:
         """`lfield query`: who can do it."""
+
+
+class Witness(Protocol):
+    """Whoever shows what came of orders: it hears of each one, and of each answer as it comes."""
+
+    def ordered(self, order: Order, hosts: Collection[str]) -> int:
+        """An order is given to those hosts; the number that it has from now on."""
+
+    def answered(self, number: int, host: str, answer: EmergencyStopped | LfieldError) -> None:
+        """What a host has answered to that order, or why it was not reached."""

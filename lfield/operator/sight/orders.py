@@ -30,7 +30,7 @@ from lfield.operator.ask import (
 )
 from lfield.operator.query import Asked, from_hosts, views_of
 from lfield.operator.question import read_question
-from lfield.operator.sight.actions import Answer, Found, Order, Ordered
+from lfield.operator.sight.actions import Answer, Found, Order, Ordered, Witness
 from lfield.operator.sight.following.reach import Reach
 from lfield.wire.observing import EmergencyStop, EmergencyStopped, Pause, Status
 
@@ -46,7 +46,7 @@ Beside = Callable[[Callable[[str, Answers[Status]], Answer], str, Answers[Status
 
 
 class Orders:
-    """Implements `Actions` for the hosts of a team; each answer is told to `heard` as well.
+    """Implements `Actions` for the hosts of a team; `witness` hears each answer as it comes.
 
     `keys` are those of this person, None for none; `access` is what the mission takes of their rights, as far
     as this computer knows. `asked` is what questions are about; where that cannot be had, its error says why.
@@ -57,7 +57,7 @@ class Orders:
         self,
         transport: Transport,
         reach: Reach,
-        heard: Callable[[str, EmergencyStopped], None],
+        witness: Witness,
         team: Team,
         asked: Callable[[], Asked],
         keys: Keys | None = None,
@@ -66,7 +66,7 @@ class Orders:
         access: Access = UNWRITTEN,
     ) -> None:
         self._beside = beside
-        self._transport, self._reach, self._heard = transport, reach, heard
+        self._transport, self._reach, self._witness = transport, reach, witness
         self._team, self._read, self._keys, self._brings = team, asked, keys, brings
         self._access = access
         self._asked: Asked | None = None
@@ -129,12 +129,18 @@ class Orders:
         unconfirmed: dict[str, str] = {}
         unreached: dict[str, str] = {}
         troubles: dict[str, str] = {}
-        answers = await ask_all(self._transport, self._reach.addresses, request, self._brings)
-        for host, answer in answers.items():
+        addresses = dict(self._reach.addresses)
+        number = self._witness.ordered(order, addresses)
+
+        async def one(host: str) -> EmergencyStopped | LfieldError:
+            answers = await ask_all(self._transport, {host: addresses[host]}, request, self._brings)
+            self._witness.answered(number, host, answers[host])
+            return answers[host]
+
+        for host, answer in zip(addresses, await asyncio.gather(*map(one, addresses)), strict=True):
             if isinstance(answer, LfieldError):
                 unreached[host] = str(answer)
                 continue
-            self._heard(host, answer)
             confirmed += [device for device, problem in answer.devices.items() if not problem]
             unconfirmed |= {device: problem for device, problem in answer.devices.items() if problem}
             if answer.trouble:

@@ -11,6 +11,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal, NamedTuple, Protocol
 
+from lfield.operator.sight.actions import Order
 from lfield.wire.fields import Telemetry
 
 
@@ -213,8 +214,9 @@ class LogLine(NamedTuple):
 class StopSeen:
     """An emergency stop that stands on some host, or was pressed from here: who has confirmed, who has not.
 
-    `hosts` are those where it stands. `confirmed` and `unconfirmed` are devices, the latter with the reason;
-    `unreached` are hosts that have not answered or are not heard, with the reason: of those nobody knows.
+    `hosts` are those where it stands. `confirmed` and `unconfirmed` are their devices, the latter with the
+    reason; `unreached` are hosts that should have stopped and of which nobody knows it, with the reason.
+    `before` are hosts that are not heard and had stopped when they were, with what was safe then.
     """
 
     reason: str = ""
@@ -224,16 +226,36 @@ class StopSeen:
     confirmed: tuple[str, ...] = ()
     unconfirmed: Mapping[str, str] = field(default_factory=dict)
     unreached: Mapping[str, str] = field(default_factory=dict)
+    before: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
     @property
     def stands(self) -> bool:
-        """Whether devices may not be released on some host."""
+        """Whether devices may not be released on some host that is heard."""
         return bool(self.hosts)
 
     @property
     def complete(self) -> bool:
         """Whether every device of every host of the team is seen to be safe."""
-        return self.stands and not self.unconfirmed and not self.unreached
+        return self.stands and not (self.unconfirmed or self.unreached or self.before)
+
+
+@dataclass(frozen=True, slots=True)
+class OrderSeen:
+    """What came of an order that was given from here `age` seconds ago, as far as it is true still.
+
+    `asked` are the hosts that have not answered yet, `done` those that have done it, `unreached` those that
+    have not as far as anybody knows, with the reasons. `unconfirmed` are devices that are not safe yet, and
+    `troubles` what hosts had to say besides. `number` counts all orders from 1.
+    """
+
+    number: int
+    order: Order
+    age: float
+    asked: tuple[str, ...] = ()
+    done: tuple[str, ...] = ()
+    unreached: Mapping[str, str] = field(default_factory=dict)
+    unconfirmed: Mapping[str, str] = field(default_factory=dict)
+    troubles: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
@@ -258,6 +280,8 @@ class Seen:
     offers: Mapping[str, OfferSeen]
     stop: StopSeen
     log: tuple[LogLine, ...]
+    #: The last one about stops, and the last one about pauses.
+    orders: tuple[OrderSeen, ...] = ()
 
     @property
     def coordinators(self) -> Mapping[str, AgentSeen]:
@@ -266,8 +290,8 @@ class Seen:
 
     @property
     def paused(self) -> tuple[str, ...]:
-        """The hosts where the mission is paused."""
-        return tuple(name for name, host in self.hosts.items() if host.paused)
+        """The hosts where the mission is paused, of those that are heard."""
+        return tuple(name for name, host in self.hosts.items() if host.paused and host.linked)
 
 
 class Sight(Protocol):

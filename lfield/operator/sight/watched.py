@@ -7,7 +7,7 @@ async with watched(path, team, party, look, keys) as team:
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator, Callable, Sequence
+from collections.abc import AsyncIterator, Callable, Collection, Sequence
 from contextlib import asynccontextmanager
 from pathlib import Path
 
@@ -21,7 +21,7 @@ from lfield.mission.team import Team
 from lfield.operator.addressed import Party
 from lfield.operator.ask import brought, observer, own_keys
 from lfield.operator.query import Asked, read_asked
-from lfield.operator.sight.actions import Actions
+from lfield.operator.sight.actions import Actions, Order
 from lfield.operator.sight.following.beside import beside
 from lfield.operator.sight.following.follower import Follower
 from lfield.operator.sight.following.reach import Reach
@@ -29,6 +29,7 @@ from lfield.operator.sight.orders import Orders
 from lfield.operator.sight.picture.roll import Roll, roll_of
 from lfield.operator.sight.picture.team_picture import Picture
 from lfield.operator.sight.seen import Curve, Seen
+from lfield.wire.observing import EmergencyStopped
 from lfield.wire.watching import Events
 
 #: How often a second each device and agent is told of.
@@ -38,7 +39,7 @@ TICK = 1.0
 
 
 class Watched:
-    """Implements `Sight`, and `Hearer` for a follower. `actions` is what can be done with the team."""
+    """Implements `Sight`, `Hearer` for a follower, `Witness` for orders; `actions` gives these."""
 
     actions: Actions
 
@@ -65,6 +66,14 @@ class Watched:
     def told(self, host: str, batch: Events, took: float | None) -> None:
         """See `Hearer.told`."""
         self.picture.told(host, batch, self._clock.monotonic(), self._clock.time(), took)
+
+    def ordered(self, order: Order, hosts: Collection[str]) -> int:
+        """See `Witness.ordered`."""
+        return self.picture.ordered(order, hosts, self._clock.monotonic())
+
+    def answered(self, number: int, host: str, answer: EmergencyStopped | LfieldError) -> None:
+        """See `Witness.answered`."""
+        self.picture.answered(number, host, answer)
 
     async def tick(self) -> None:
         """Let curves grow until this is cancelled."""
@@ -106,7 +115,7 @@ async def watched(
     def asked() -> Asked:
         return read_asked(path, team)
 
-    shown.actions = Orders(transport, reach, shown.picture.answered, team, asked, own, brings, access=access)
+    shown.actions = Orders(transport, reach, shown, team, asked, own, brings, access=access)
     follower = Follower(transport, reach.hosts, reach, shown, clock, telemetry=RATE, brings=brings)
     async with beside(follower.run(), shown.tick()):
         yield shown

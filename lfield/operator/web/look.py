@@ -34,6 +34,7 @@ def team(seen: Seen, barred: Mapping[Order, str], tiles: Mapping[str, Any] | Non
             "coordinators": list(seen.coordinators.values()),
             "offers": list(seen.offers.values()),
             "stop": seen.stop,
+            "orders": seen.orders,
             "stands": seen.stop.stands,
             "complete": seen.stop.complete,
             "paused": seen.paused,

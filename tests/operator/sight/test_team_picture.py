@@ -10,10 +10,13 @@ from sight_script import LIFE, Teller, device, resource, roll, snapshot
 
 from lfield.driver.frame import Origin, Pose
 from lfield.guard.rest import UNSEEN
+from lfield.manifest import DeviceManifest, Quantity
 from lfield.mission.bindings import Frames
 from lfield.operator.sight.picture.agents import MOST_AGENTS
 from lfield.operator.sight.picture.devices import MOST_DEVICES
+from lfield.operator.sight.picture.places import instruments_of
 from lfield.operator.sight.picture.team_picture import Picture
+from lfield.operator.sight.seen import StopSeen
 from lfield.wire.coordinators import Known
 from lfield.wire.events import (
     Came,
@@ -230,16 +233,19 @@ def test_a_stop_shows_who_has_confirmed_and_who_has_not() -> None:
     assert stop.unreached == {"beta": "it has not said that it has stopped"}
     story.tell("alpha", Confirmed("one.fc", "land", "a child"))
     story.tell("beta", Stopped("anna", "a child"))
-    story.picture.answered("beta", EmergencyStopped({"two.fc": "its port is gone"}))
+    story.picture.answered(0, "beta", EmergencyStopped({"two.fc": "its port is gone"}))
     stop = story.seen.stop
     assert (stop.confirmed, stop.unconfirmed) == (("one.fc",), {"two.fc": "its port is gone"})
     story.tell("beta", Latched("two.fc", "land", "a child"), Confirmed("two.fc", "land", "a child"))
     assert story.seen.stop.complete
     story.picture.unlinked("beta", "the connection was lost")
-    assert story.seen.stop.unreached == {"beta": "the connection was lost"}
+    stop = story.seen.stop
+    assert (stop.unreached, stop.before, stop.complete) == ({}, {"beta": ("two.fc",)}, False)
     story.tell("alpha", Stopped("anna", "", True))
+    stop = story.seen.stop
+    assert (stop.stands, stop.unreached, stop.before) == (False, {}, {"beta": ("two.fc",)})
     story.tell("beta", Stopped("anna", "", True))
-    assert not story.seen.stop.stands
+    assert story.seen.stop == StopSeen()
 
 
 def test_a_pause_and_offers_come_and_go() -> None:
@@ -291,6 +297,45 @@ def test_another_life_of_a_host_begins_anew() -> None:
     alpha = story.seen.hosts["alpha"]
     assert (alpha.restarts, alpha.stopped, alpha.paused, alpha.linked) == (1, "", False, True)
     assert not story.seen.vehicles["one"].latched
+
+
+@pytest.mark.parametrize("by_snapshot", [False, True])
+def test_another_run_of_the_mission_begins_anew(by_snapshot: bool) -> None:
+    story = Story()
+    story.tell("alpha", Started("boss", 2))
+    for sequence in range(1, 41):
+        of, to = ("alpha", "beta") if sequence % 2 else ("beta", "alpha")
+        story.tell(of, Left("boss", 2, sequence, to, "two", "lift", 900))
+        story.tell(to, Came("boss", 2, sequence, of, 900))
+    story.tell("alpha", Finished("boss", 2, "done", ""))
+    for host in story.hosts:
+        story.picture.unlinked(host, "it has closed the link")
+    story.hosts = {"alpha": Teller(LIFE + 10), "beta": Teller(LIFE + 11)}
+    story.now += 20.0
+    if by_snapshot:
+        status = snapshot("alpha")
+        copies = [Known("boss", 1, 0, 0, "RUN")]
+        story.tell("alpha", snapshot=type(status)(**{**_fields(status), "coordinators": copies}))
+    else:
+        story.tell("alpha", Started("boss", 1))
+    boss = story.seen.agents["boss"]
+    assert (boss.host, boss.generation, boss.hops, boss.finished, boss.trail) == ("alpha", 1, 0, "", ())
+    story.tell("alpha", Left("boss", 1, 1, "beta", "two", "lift", 900))
+    story.tell("beta", Came("boss", 1, 1, "alpha", 900))
+    story.tell("alpha", Hopped("boss", 1, 1, "beta", 0.02))
+    boss = story.seen.agents["boss"]
+    assert (boss.host, boss.hops, [hop.number for hop in boss.trail]) == ("beta", 1, [1])
+
+
+def test_a_host_that_was_started_again_alone_changes_nothing_of_what_others_know() -> None:
+    story = Story()
+    story.tell("alpha", Started("boss", 1), HOP["left"][1])
+    story.tell("beta", HOP["came"][1], Left("boss", 1, 5, "alpha", "one", "lift", 900), Linked("alpha"))
+    story.tell("beta", Stayed("boss", 1, 5, "alpha", "", "no link"))
+    story.hosts["alpha"] = Teller(LIFE + 1)
+    story.tell("alpha", HOP["left"][1])
+    boss = story.seen.agents["boss"]
+    assert (boss.host, [hop.number for hop in boss.trail]) == ("beta", [4, 5])
 
 
 def test_clocks_that_differ_by_minutes_are_told_and_change_no_age() -> None:
@@ -418,3 +463,32 @@ def test_a_host_that_names_more_than_there_can_be_fills_no_memory() -> None:
         story.tell("alpha", Started(f"a{number}", 1), Measured(f"a{number}.fc", {}, 0.0))
     assert len(story.seen.agents) == MOST_AGENTS
     assert len(story.seen.vehicles) == MOST_DEVICES
+
+
+@pytest.mark.parametrize(
+    ("name", "unit", "is_earth"),
+    [
+        ("temperatures", "°C", False),
+        ("angles", "°", False),
+        ("position", "°, °, m", True),
+        ("fix", "°, °", True),
+        ("globalPosition", "", True),
+    ],
+)
+def test_only_degrees_of_latitude_and_longitude_are_a_place(name: str, unit: str, is_earth: bool) -> None:
+    told = (Quantity(name, "real[]", unit=unit),)
+    assert instruments_of(DeviceManifest("Motors", "x", (), told)).earth == (name if is_earth else "")
+
+
+def test_a_servo_stands_where_its_frame_is_and_one_that_nobody_placed_nowhere() -> None:
+    pose = Pose(2.0, 0.5)
+    story = Story(Frames(ZURICH, agents={"one": pose}))
+    warm = {"temperatures": [28.0, 28.0], "positions": [0.1, 0.2]}
+    story.tell("alpha", Measured("one.fc", warm, 0.0), Measured("two.fc", warm, 0.0))
+    one, two = (story.seen.vehicles[name] for name in ("one", "two"))
+    assert (one.place, one.stated, one.earth.latitude) == (
+        (2.0, 0.5, 0.0),
+        True,
+        pytest.approx(47.3977, abs=1e-4),
+    )
+    assert (two.place, two.earth) == (None, None)

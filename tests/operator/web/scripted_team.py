@@ -15,7 +15,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from lfield.clock import SystemClock
+from lfield.errors import AddressError
 from lfield.operator.sight.actions import Answer, Order, Ordered
+from lfield.operator.sight.picture.presses import Presses
 from lfield.operator.sight.seen import (
     AgentSeen,
     Curve,
@@ -31,6 +33,7 @@ from lfield.operator.sight.seen import (
     StopSeen,
     VehicleSeen,
 )
+from lfield.wire.observing import EmergencyStopped
 
 #: Degrees of latitude in a metre.
 METRE = 1 / 111_320.0
@@ -53,6 +56,9 @@ class Script:
 
     def __post_init__(self) -> None:
         self.began = self.now()
+        self.presses = Presses()
+        self.held: set[str] = set()
+        self.low: set[str] = set()
         self.frozen = {}
         self.lines: list[LogLine] = []
         self.revision = 0
@@ -73,6 +79,9 @@ class Script:
             case ["latch", agent]:
                 self.stubborn.discard(agent)
                 self.stopped = self.now()
+                self.held |= {self.host_of(number) for number in range(self.count)} - self.dead
+            case ["low", agent]:
+                self.low.add(agent)
             case ["say", host, *text]:
                 self.say(host, " ".join(text))
 
@@ -83,22 +92,35 @@ class Script:
 
     async def stop(self, reason: str = "") -> Ordered:
         self.stopped = self.now()
+        self.held |= self.order("stop")
         self.pressed.append("stop")
         print("pressed stop", flush=True)
         return Ordered("stop")
 
+    def order(self, order: Order) -> set[str]:
+        """The hosts that hear it."""
+        names = [self.host_of(number) for number in range(self.count)]
+        number = self.presses.ordered(order, names, self.now())
+        for name in names:
+            nobody = AddressError(f"{name}:8181", "nobody listens there")
+            self.presses.answered(number, name, nobody if name in self.dead else EmergencyStopped({}))
+        return set(names) - self.dead
+
     async def lift(self) -> Ordered:
-        self.stopped = None
+        self.held -= self.order("lift")
+        self.stopped = self.stopped if self.held else None
         print("pressed lift", flush=True)
         return Ordered("lift")
 
     async def pause(self) -> Ordered:
         self.paused = True
+        self.order("pause")
         print("pressed pause", flush=True)
         return Ordered("pause")
 
     async def resume(self) -> Ordered:
         self.paused = False
+        self.order("resume")
         print("pressed resume", flush=True)
         return Ordered("resume")
 
@@ -121,14 +143,15 @@ class Script:
         radius = 6.0 + 2.4 * number
         north, east = radius * math.cos(angle), radius * math.sin(angle)
         height = 3.0 + number % 7 + 0.4 * math.sin(seconds)
-        latched = self.stopped is not None and agent not in self.stubborn
+        held = self.stopped is not None and host in self.held
+        latched = held and agent not in self.stubborn
         device = DeviceSeen(
             f"{agent}.fc",
             agent,
             host,
             host not in self.dead,
             True,
-            "the emergency stop was pressed" if self.stopped is not None else "",
+            "the emergency stop was pressed" if held else "",
             latched,
             "" if latched and self.now() - (self.stopped or 0) > 1.5 else "descends at 0.8 m/s",
             0.1,
@@ -171,7 +194,7 @@ class Script:
                 0.1 if name in live else self.now() - self.frozen[name],
                 seconds,
                 paused=self.paused,
-                stopped="stop" if self.stopped is not None and name in live else "",
+                stopped="stop" if name in self.held else "",
                 reaches=tuple(other for other in live if other != name)[:3] if name in live else (),
             )
             for name in names
@@ -224,20 +247,25 @@ class Script:
             },
             self.stop_seen(vehicles, hosts),
             tuple(self.lines),
+            self.presses.seen(self.now(), hosts, {}),
         )
 
     def stop_seen(self, vehicles: dict[str, VehicleSeen], hosts: dict[str, HostSeen]) -> StopSeen:
         if self.stopped is None:
             return StopSeen()
-        devices = [device for vehicle in vehicles.values() for device in vehicle.devices if device.fresh]
+        devices = [
+            device for vehicle in vehicles.values() for device in vehicle.devices if device.host in self.held
+        ]
+        seen = [device for device in devices if device.fresh]
         return StopSeen(
             "the emergency stop was pressed on the page",
             "anna",
             self.now() - self.stopped,
-            tuple(name for name, host in hosts.items() if host.stopped),
-            tuple(device.name for device in devices if device.confirmed),
-            {device.name: "it has not answered" for device in devices if not device.confirmed},
-            {name: host.trouble for name, host in hosts.items() if not host.linked},
+            tuple(name for name, host in hosts.items() if host.stopped and host.linked),
+            tuple(device.name for device in seen if device.confirmed),
+            {device.name: "it has not answered" for device in seen if not device.confirmed},
+            {name: host.trouble for name, host in hosts.items() if not host.linked and not host.stopped},
+            {device.host: (device.name,) for device in devices if not device.fresh},
         )
 
     def curves(self) -> tuple[Curve, ...]:
@@ -246,7 +274,8 @@ class Script:
         made = []
         for number in range(self.count):
             agent = self.agent_of(number)
-            made.append(
+            heights = [] if agent in self.low else made
+            heights.append(
                 Curve(
                     "height", agent, tuple((t, 3 + number % 7 + math.sin((seconds + t) / 9)) for t in times)
                 )

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import signal
 import sqlite3
 
 import pytest
@@ -103,6 +105,119 @@ def test_a_host_that_dies_stays_as_it_was_last_known(browser, page_of):
     browser.says("unreached-bravo", "NOT REACHED: nobody listens there")
 
 
+def test_a_stop_that_reaches_nobody_says_so_as_long_as_it_is_true(browser, page_of):
+    page = page_of()
+    page.do("kill alpha")
+    page.do("kill bravo")
+    browser.open(page.link)
+    browser.says("host-bravo", "nobody listens there")
+    browser.thing("stop").click()
+    for host in ("alpha", "bravo"):
+        browser.says(f"unreached-{host}", f"{host} NOT REACHED: nobody listens there")
+    browser.says("halt", "Stop pressed: 2 not confirmed")
+    browser.says("state", "STOP has NOT REACHED alpha, bravo")
+    assert browser.all("latch-lead-fc") == [], "it does not look as if it had stopped"
+    browser.thing("pause").click()
+    browser.says("order-pause", "alpha NOT REACHED")
+    browser.thing("resume").click()
+    browser.thing("yes").click()
+    browser.says("order-resume", "bravo NOT REACHED")
+    assert browser.all("order-pause") == []
+    browser.thing("lift").click()
+    browser.thing("yes").click()
+    browser.says("order-lift", "alpha NOT REACHED")
+    browser.wait(lambda: not browser.all("halt"))
+
+
+def test_what_was_known_of_a_dead_host_is_grey_after_a_lift(browser, page_of):
+    page = page_of()
+    browser.open(page.link)
+    browser.thing("stop").click()
+    browser.says("halt", "every device is safe and at rest")
+    page.do("kill bravo")
+    browser.says("halt", "Stopped at alpha; not heard: bravo")
+    browser.says("before-bravo", "s ago it had stopped, wing.fc safe")
+    assert "old" in browser.thing("before-bravo").get_attribute("class")
+    assert browser.all("confirmed-wing.fc") == []
+    browser.says("latch-wing-fc", "was safe")
+    assert "old" in browser.thing("latch-wing-fc").get_attribute("class")
+    browser.says("state", "STOPPED")
+    browser.thing("lift").click()
+    browser.thing("yes").click()
+    browser.says("order-lift", "bravo NOT REACHED")
+    browser.says("order-lift", "done at alpha")
+    browser.wait(lambda: "STOPPED" not in browser.text("state"))
+    assert "alpha NOT REACHED" not in browser.text("halt")
+    browser.says("halt", "No stop stands where somebody is heard")
+
+
+def test_a_press_shows_at_once_on_a_server_that_does_not_answer(browser, page_of):
+    page = page_of()
+    browser.open(page.link)
+    page.line()
+    os.kill(page.process.pid, signal.SIGSTOP)
+    try:
+        browser.thing("stop").click()
+        browser.says("asking-stop", "STOP was pressed: asking the hosts")
+        browser.says("trouble", "what it shows is old")
+        browser.says("failed", "STOP has perhaps not been done")
+        assert browser.all("asking-stop") == []
+        browser.thing("stop").click()
+        browser.says("asking-stop", "STOP was pressed: asking the hosts")
+    finally:
+        os.kill(page.process.pid, signal.SIGCONT)
+    assert page.line() == "pressed stop"
+    browser.says("halt", "Stopped")
+    browser.wait(lambda: not browser.all("failed") and not browser.all("asking-stop"))
+
+
+def test_stopped_and_paused_at_once_is_told_as_both(browser, page_of):
+    page = page_of()
+    browser.open(page.link)
+    browser.thing("stop").click()
+    browser.thing("pause").click()
+    browser.says("state", "STOPPED · paused at alpha, bravo")
+
+
+#: How often each of these colours is in a chart.
+_COLOURS = """
+const canvas = document.querySelector(`[data-testid=plot-${arguments[0]}] canvas`);
+const data = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height).data;
+const counts = arguments[1].map(() => 0);
+for (let at = 0; at < data.length; at += 4) {
+  if (data[at + 3] < 200) continue;
+  const n = arguments[1].indexOf(`rgb(${data[at]}, ${data[at + 1]}, ${data[at + 2]})`);
+  if (n >= 0) counts[n]++;
+}
+return counts;
+"""
+
+
+def test_whoever_has_a_colour_has_it_in_all_plots(browser, page_of):
+    page = page_of()
+    page.do("low lead")
+    browser.open(page.link)
+    browser.thing("plots").find_element(By.TAG_NAME, "summary").click()
+    browser.says("key-hops", "pilot")
+
+    def inks(key):
+        return [
+            ink.value_of_css_property("background-color").replace("rgba", "rgb").replace(", 1)", ")")
+            for ink in browser.thing(key).find_elements(By.TAG_NAME, "i")
+        ]
+
+    assert browser.text("key-vehicles").split() == ["Vehicles:", "leadwing"]
+    colours = [*inks("key-vehicles"), *inks("key-hops")]
+    assert len(set(colours)) == 3
+
+    def drawn(plot):
+        return [count > 20 for count in browser.driver.execute_script(_COLOURS, plot, colours)]
+
+    browser.wait(lambda: drawn("battery") == [True, True, False])
+    assert drawn("height") == [False, True, False], "lead tells no height"
+    assert drawn("hops") == [False, False, True]
+
+
 def test_who_may_not_press_a_button_reads_why(browser, page_of):
     page = page_of()
     page.do("bar lift your keys let you stop, not operate: ask for --may operate")
@@ -130,6 +245,7 @@ def test_on_a_phone_everything_is_below_one_another_and_stop_stays(browser, page
             assert box["bottom"] <= 844
             assert box["top"] > 700
             assert box["width"] > 300
+        browser.says("place-copter6", ",")
         browser.thing("stop").click()
         browser.says("halt", "Stopped")
     finally:

@@ -7,7 +7,7 @@ newest hop: (generation, sequence) grows with each, whatever the clocks say.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field
 
 from lfield.operator.sight.picture.roll import Enrolled, Roll
@@ -82,12 +82,28 @@ class _Agent:
     came: deque[float] = field(default_factory=deque)
     #: What each host told last of where it stands there: that is not told again as long as it is the same.
     stood: dict[str, Stood] = field(default_factory=dict)
+    #: The newest hop of the newest start that each host has told of in its life.
+    newest: dict[str, tuple[int, int]] = field(default_factory=dict)
 
     def outdates(self, generation: int, sequence: int) -> bool:
         """Whether more is known than that hop of that start. One that gave way to another knows nothing."""
         if self.finished == "superseded":
             return False
         return (generation, sequence) < (self.generation, self.sequence)
+
+    def hears(self, host: str, generation: int, sequence: int, linked: Collection[str]) -> None:
+        """A host tells of that hop of that start. Starts are counted anew in a new run of the mission: what a
+        life of a host tells first is that, where nobody who is heard has told of more."""
+        hop = (generation, sequence)
+        is_first = host not in self.newest
+        self.newest[host] = max(hop, self.newest.get(host, hop))
+        others = (known for name, known in self.newest.items() if name in linked)
+        if is_first and self.outdates(*hop) and hop >= max(others, default=hop):
+            self.newest = {host: hop}
+            self.generation = self.sequence = self.hops = 0
+            self.trail.clear()
+            self.came.clear()
+            self.to = self.finished = self.detail = self.doubt = ""
 
     def runs(self, host: str, generation: int, sequence: int, when: float) -> None:
         """It runs on a host."""
@@ -119,6 +135,7 @@ class Agents:
 
     def __init__(self, roll: Roll) -> None:
         self._roll = roll
+        self._linked: set[str] = set()
         self._known = {name: _Agent(enrolled, enrolled.host) for name, enrolled in roll.agents.items()}
         self._kinds: dict[str, str] = {name: enrolled.kind for name, enrolled in roll.agents.items()}
 
@@ -128,6 +145,11 @@ class Agents:
         Of one that `is_past`, since a snapshot has told what came of it, only the hop itself is new.
         """
         agent = self._agent(event.agent, host)
+        self._linked.add(host)
+        if isinstance(event, HopEvent):
+            agent.hears(host, event.generation, event.sequence, self._linked)
+        elif isinstance(event, events.Started) and not is_past:
+            agent.hears(host, event.generation, 0, self._linked)
         if is_past and not isinstance(event, HopEvent):
             return
         match event:
@@ -177,9 +199,12 @@ class Agents:
     def status(self, host: str, agents: Iterable[AgentStatus], known: Iterable[Known], now: float) -> None:
         """What a host knows of all agents. Of coordinators only it says which start and hop it means."""
         here = {told.id for told in agents}
+        self._linked.add(host)
         for copy in known:
             self._is_of(copy.agent, "coordinator")
-            _copy(self._agent(copy.agent, copy.where or host), host, copy, now)
+            agent = self._agent(copy.agent, copy.where or host)
+            agent.hears(host, copy.generation, copy.sequence, self._linked)
+            _copy(agent, host, copy, now)
         for told in agents:
             agent = self._agent(told.id, host)
             self._is_of(told.id, told.kind)
@@ -197,9 +222,14 @@ class Agents:
         for agent in self._known.values():
             agent.stood.pop(host, None)
 
+    def unlinked(self, host: str) -> None:
+        """A host is not heard any more."""
+        self._linked.discard(host)
+
     def restarted(self, host: str) -> None:
         """Another life of a host: what its resources did, and stood at, is over."""
         for agent in self._known.values():
+            agent.newest.pop(host, None)
             if agent.host == host and not agent.to:
                 agent.stands("")
                 if self._kinds.get(agent.enrolled.agent) == "resource":

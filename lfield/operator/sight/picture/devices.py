@@ -91,6 +91,11 @@ class Devices:
             if device.host == host and (device.moves or (device.moves is None and device.latched))
         }
 
+    @property
+    def unsafe(self) -> Mapping[str, str]:
+        """The same of all that are not safe yet."""
+        return {name: why for name, device in self._known.items() if (why := _unsafe(device))}
+
     def _device(self, name: str, host: str) -> _Device:
         device = self._known.get(name)
         if device is None:

@@ -20,6 +20,10 @@ from lfield.operator.sight.seen import Earth, Local, Reading
 _AXIS, _ECCENTRICITY = 6378137.0, 0.00669437999014
 
 
+#: The units of an array that is a place on the Earth: each element has its own.
+_EARTHLY = ("°, °", "°, °, m", "deg, deg", "deg, deg, m")
+
+
 @dataclass(frozen=True, slots=True)
 class Instruments:
     """The quantities of a device by what an operator reads off them; '' for what it does not tell.
@@ -49,7 +53,7 @@ def instruments_of(manifest: DeviceManifest) -> Instruments:
     told = {quantity.name: quantity for quantity in manifest.telemetry}
     arrays = [quantity for quantity in manifest.telemetry if quantity.type == "real[]"]
     places = [q.name for q in arrays if q.unit == "m" and (q.frame == "place" or q.name == USUAL.place)]
-    earths = [q.name for q in arrays if q.unit.startswith("°") or q.name == USUAL.earth]
+    earths = [q.name for q in arrays if q.unit in _EARTHLY or q.name == USUAL.earth]
     return Instruments(
         moves=bool(manifest.safe_states),
         place=places[0] if places else "",

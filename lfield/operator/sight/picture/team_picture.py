@@ -7,20 +7,24 @@ its link broke stays, and grows older; a new life of a host begins with nothing 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from lfield.driver.frame import Origin
+from lfield.errors import AddressError, LfieldError
+from lfield.operator.sight.actions import Order
 from lfield.operator.sight.picture.agents import AgentEvent, Agents
 from lfield.operator.sight.picture.curves import Curves
 from lfield.operator.sight.picture.devices import DeviceEvent, Devices, earth_of, vehicle_of
 from lfield.operator.sight.picture.loglines import LogLines
+from lfield.operator.sight.picture.presses import Presses
 from lfield.operator.sight.picture.roll import Roll
 from lfield.operator.sight.seen import (
     Curve,
     DeviceSeen,
     HostSeen,
     OfferSeen,
+    OrderSeen,
     Seen,
     StopSeen,
     VehicleSeen,
@@ -75,7 +79,7 @@ class Picture:
         self.revision = 0
         self._hosts = {host: _Host() for host in roll.hosts}
         self._agents, self._devices = Agents(roll), Devices(roll)
-        self._log, self._curves = LogLines(), Curves()
+        self._log, self._curves, self._presses = LogLines(), Curves(), Presses()
         self._origin = roll.origin
 
     # --- in -------------------------------------------------------------------------------------------
@@ -90,6 +94,7 @@ class Picture:
         """There is none, or none any more."""
         host = self._host(name)
         host.linked, host.trouble = False, why
+        self._agents.unlinked(name)
 
     def told(self, name: str, batch: Events, now: float, wall: float, took: float | None = None) -> None:
         """What a host has sent. `took` is how long it was asked for, of a first answer: for that long nobody
@@ -107,11 +112,23 @@ class Picture:
             self._status(name, host, batch.snapshot, now)
             host.past = batch.latest
 
-    def answered(self, name: str, answer: EmergencyStopped) -> None:
-        """What a host has said to a stop or a pause: the devices that are not safe, with the reasons."""
+    def ordered(self, order: Order, hosts: Collection[str], now: float) -> int:
+        """An order is given from here to those hosts, and to those of the team of which nobody knows where
+        they are; its number."""
+        self.revision += 1
+        number = self._presses.ordered(order, [*self._hosts, *(set(hosts) - set(self._hosts))], now)
+        for name in set(self._hosts) - set(hosts):
+            self._presses.answered(number, name, AddressError(name, "nobody knows where it is"))
+        return number
+
+    def answered(self, number: int, name: str, answer: EmergencyStopped | LfieldError) -> None:
+        """What a host has said to an order: the devices that are not safe, with the reasons; or why it was
+        not reached."""
         host = self._host(name)
-        self._devices.movable(name, answer.devices)
-        host.refusals = {device: why for device, why in answer.devices.items() if why}
+        self._presses.answered(number, name, answer)
+        if isinstance(answer, EmergencyStopped):
+            self._devices.movable(name, answer.devices)
+            host.refusals = {device: why for device, why in answer.devices.items() if why}
 
     def tick(self, now: float) -> None:
         """Once a second or so: curves grow also while nobody looks."""
@@ -158,7 +175,17 @@ class Picture:
         elif isinstance(what, events.Ended):
             self._agents.served(name, what.resource)
         else:
+            self._countermanded(what, when)
             _stands(host, what, when)
+
+    def _countermanded(self, what: object, when: float) -> None:
+        match what:
+            case events.Stopped(_, _, lifted):
+                self._presses.happened("lift" if lifted else "stop", when)
+            case events.Paused(_, lifted):
+                self._presses.happened("resume" if lifted else "pause", when)
+            case _:
+                pass
 
     # --- out ------------------------------------------------------------------------------------------
 
@@ -171,15 +198,18 @@ class Picture:
         fresh = {name: host.linked for name, host in self._hosts.items()}
         devices = self._devices.seen(now, fresh)
         offers = self._offers(fresh)
+        hosts = {name: self._seen(name, host, now) for name, host in self._hosts.items()}
+        orders = self._presses.seen(now, hosts, self._devices.unsafe)
         return Seen(
             team=self.roll.team,
             revision=self.revision,
-            hosts={name: self._seen(name, host, now) for name, host in self._hosts.items()},
+            hosts=hosts,
             vehicles=self._vehicles(devices, offers),
             agents=self._agents.seen(now, fresh),
             offers=offers,
-            stop=self._stop(now),
+            stop=self._stop(now, orders),
             log=self._log.seen(now),
+            orders=orders,
         )
 
     def _vehicles(
@@ -238,27 +268,47 @@ class Picture:
             found[agent] = OfferSeen(agent, enrolled.type, teller, refusal, fresh[teller], apart)
         return found
 
-    def _stop(self, now: float) -> StopSeen:
+    def _stop(self, now: float, orders: Sequence[OrderSeen]) -> StopSeen:
         stopped = {name: host for name, host in self._hosts.items() if host.stopped}
-        if not stopped:
-            return StopSeen()
-        first = min(stopped.values(), key=lambda host: host.stopped_at or now)
-        confirmed, unconfirmed, unreached = [], {}, {}
-        for name, host in self._hosts.items():
-            for device, problem in self._devices.of(name).items():
-                if not problem:
-                    confirmed.append(device)
-                elif name in stopped and host.linked:
-                    unconfirmed[device] = host.refusals.get(device, problem)
+        standing = {name: host for name, host in stopped.items() if host.linked}
+        pressed = next((order for order in orders if order.order == "stop"), None)
+        confirmed: list[str] = []
+        unconfirmed: dict[str, str] = {}
+        before: dict[str, tuple[str, ...]] = {}
+        for name, host in stopped.items():
+            states = self._devices.of(name)
+            safe = [device for device, problem in states.items() if not problem]
             if not host.linked:
-                gone = f"it has ended: {host.ending}" if host.ending else "it has ended"
-                unreached[name] = gone if host.ending is not None else host.trouble
-            elif name not in stopped:
-                unreached[name] = "it has not said that it has stopped"
+                before[name] = tuple(safe)
+                continue
+            confirmed += safe
+            unconfirmed |= {device: host.refusals.get(device, why) for device, why in states.items() if why}
+        unreached = dict(pressed.unreached) if pressed is not None else {}
+        asked = pressed.asked if pressed is not None else ()
+        for name, host in self._hosts.items() if standing or pressed is not None else ():
+            if name not in {*stopped, *unreached, *asked}:
+                unreached[name] = _untold(host)
+        first = min((standing or stopped).values(), key=lambda host: host.stopped_at or now, default=_Host())
         age = None if first.stopped_at is None else max(0.0, now - first.stopped_at)
         return StopSeen(
-            first.stopped, first.stopped_by, age, tuple(stopped), tuple(confirmed), unconfirmed, unreached
+            first.stopped,
+            first.stopped_by,
+            age,
+            tuple(standing),
+            tuple(confirmed),
+            unconfirmed,
+            unreached,
+            before,
         )
+
+
+def _untold(host: _Host) -> str:
+    """Why nobody knows that a host has stopped."""
+    if host.linked:
+        return "it has not said that it has stopped"
+    if host.ending is None:
+        return host.trouble
+    return f"it has ended: {host.ending}" if host.ending else "it has ended"
 
 
 def _began(host: _Host, what: object, when: float) -> None:

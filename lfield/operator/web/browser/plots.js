@@ -15,14 +15,16 @@ const KINDS = {
 
 const COLOURS = ["#2f6690", "#c8553d", "#588157", "#8d6a9f", "#b08968", "#3a7d7c", "#a3333d", "#5f6c7b"];
 
-function options(kind, curves) {
+// The n-th colour: those that go together first, and then any that are apart.
+const colour = (n) => COLOURS[n] ?? `hsl(${Math.round(n * 137.508) % 360} 45% 47%)`;
+
+function options(kind, curves, inks) {
   const ink = getComputedStyle(document.documentElement).getPropertyValue("--faint");
   const line = getComputedStyle(document.documentElement).getPropertyValue("--line");
   const minutes = (value) => (value === 0 ? "now" : `${-value / 60} min`);
   const axis = { axisLabel: { color: ink, fontSize: 11 }, splitLine: { lineStyle: { color: line } } };
   return {
     animation: false,
-    color: COLOURS,
     grid: { left: 44, right: 14, top: 12, bottom: 24 },
     tooltip: { trigger: "axis", confine: true, valueFormatter: (value) => Number(value).toPrecision(3) },
     xAxis: { type: "value", min: -600, max: 0, interval: 120, ...axis, axisLine: { lineStyle: { color: line } }, splitLine: { show: false }, axisLabel: { ...axis.axisLabel, formatter: minutes } },
@@ -31,7 +33,8 @@ function options(kind, curves) {
       type: "line",
       name: curve.of,
       showSymbol: curve.points.length === 1,
-      lineStyle: { width: 1.5 },
+      lineStyle: { width: 1.5, color: inks[curve.of] },
+      itemStyle: { color: inks[curve.of] },
       data: curve.points.map(([ago, value]) => [ago, value * kind.scale]),
     })),
   };
@@ -44,10 +47,10 @@ export default {
       <div class="charts">
         <figure v-for="(kind, what) in kinds" :key="what"><figcaption>{{ kind.title }}</figcaption><div :ref="what" class="chart" :data-testid="'plot-' + what"></div></figure>
       </div>
-      <p class="key"><span v-for="(of, n) in legend" :key="of"><i :style="{background: colours[n % colours.length]}"></i>{{ of }}</span></p>
+      <p v-for="(names, of) in legends" :key="of" class="key" :data-testid="'key-' + of">{{ called[of] }}<span v-for="name in names" :key="name"><i :style="{background: inks[name]}"></i>{{ name }}</span></p>
       <p v-if="trouble" class="bad">{{ trouble }}</p>
     </details>`,
-  data: () => ({ kinds: KINDS, colours: COLOURS, legend: [], trouble: "" }),
+  data: () => ({ kinds: KINDS, called: { vehicles: "Vehicles: ", hops: "Hops of: " }, inks: {}, legends: {}, trouble: "" }),
   methods: {
     toggled(event) {
       this.open = event.target.open;
@@ -67,10 +70,16 @@ export default {
       this.busy = false;
     },
     draw(curves) {
-      this.legend = [...new Set(curves.filter((curve) => curve.what !== "hops").map((curve) => curve.of))];
+      const names = (curves) => [...new Set(curves.map((curve) => curve.of))];
+      this.legends = {
+        vehicles: names(curves.filter((curve) => curve.what !== "hops")),
+        hops: names(curves.filter((curve) => curve.what === "hops")),
+      };
+      // Whoever has a colour keeps it, in all charts.
+      for (const name of Object.values(this.legends).flat()) this.inks[name] ??= colour(Object.keys(this.inks).length);
       for (const [what, kind] of Object.entries(KINDS)) {
         const chart = (this.charts[what] ??= echarts.init(this.$refs[what][0]));
-        chart.setOption(options(kind, curves.filter((curve) => curve.what === what)), { notMerge: true });
+        chart.setOption(options(kind, curves.filter((curve) => curve.what === what), this.inks), { notMerge: true });
       }
     },
     resized() {

@@ -10,7 +10,12 @@ const LONG_PATIENCE = 20000;
 
 async function answerOf(path, options, patience) {
   const answer = await fetch(path, { cache: "no-store", signal: AbortSignal.timeout(patience), ...options });
-  if (!answer.ok) throw new Error((await answer.text()) || `the server answers ${answer.status}`);
+  if (!answer.ok) {
+    const error = new Error((await answer.text()) || `the server answers ${answer.status}`);
+    // It has understood, and has not done it.
+    error.refused = answer.status >= 400 && answer.status < 500;
+    throw error;
+  }
   return answer.json();
 }
 

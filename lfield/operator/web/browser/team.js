@@ -1,6 +1,6 @@
 // The whole page: STOP and the other buttons, what stands of a stop, map, vehicles, coordinators, hosts, log,
 // questions, plots. It draws the last look, and says so when that is old.
-import { Plots, TeamMap, act, ask, looks, words } from "lfield-watch";
+import { Halt, Plots, TeamMap, act, ask, looks, words } from "lfield-watch";
 
 // Looks that are older than this, in milliseconds, are told to be old.
 const OLD = 2000;
@@ -11,11 +11,16 @@ const QUESTIONS = {
   resume: "Resume the mission? Agents go on, and vehicles may move.",
 };
 
+// What undoes one another.
+const PAIRS = [["stop", "lift"], ["pause", "resume"]];
+const pairOf = (order) => PAIRS.find((pair) => pair.includes(order));
+const without = (table, names) => Object.fromEntries(Object.entries(table).filter(([name]) => !names.includes(name)));
+
 export default {
-  components: { TeamMap, Plots },
+  components: { TeamMap, Halt, Plots },
   props: { title: String, resourcePath: String },
   template: `
-  <div class="watch" :class="{stale, halted: look?.stands}">
+  <div class="watch" :class="{stale, halted: look && (look.stands || Object.keys(look.stop.unreached).length)}">
     <header>
       <button type="button" class="stop" data-testid="stop" :disabled="Boolean(barred.stop)" :title="barred.stop"
               @click="press('stop')">STOP</button>
@@ -32,16 +37,7 @@ export default {
     </header>
     <p v-for="(why, order) in barredWords" :key="why" class="barred" :data-testid="'barred-' + order">{{ why }}</p>
     <p v-if="trouble" class="trouble" role="alert" data-testid="trouble">{{ trouble }}</p>
-    <p v-if="failed" class="trouble" role="alert" data-testid="failed">{{ failed }}</p>
-    <section v-if="stopShown" class="halt" :class="{complete: look.complete}" data-testid="halt" role="alert">
-      <h2>{{ haltTitle }}</h2>
-      <p v-if="look.stop.reason">{{ look.stop.reason }}<template v-if="look.stop.by">, by {{ look.stop.by }}</template><template v-if="look.stop.age !== null">, {{ age(look.stop.age) }} ago</template></p>
-      <ul>
-        <li v-for="(why, host) in look.stop.unreached" :key="'h' + host" class="bad" :data-testid="'unreached-' + host"><b>{{ host }}</b> NOT REACHED: {{ why }}</li>
-        <li v-for="(why, device) in look.stop.unconfirmed" :key="'u' + device" class="bad" :data-testid="'unconfirmed-' + device"><b>{{ device }}</b> NOT CONFIRMED: {{ why }}</li>
-        <li v-for="device in look.stop.confirmed" :key="'c' + device" :data-testid="'confirmed-' + device"><b>{{ device }}</b> safe, {{ doing(device) }}</li>
-      </ul>
-    </section>
+    <halt :look="look" :pending="pending" :failures="failures" :now="now"/>
     <main v-if="look">
       <div class="column-of">
       <section class="place" aria-label="Map">
@@ -64,7 +60,7 @@ export default {
             <tr v-for="v in look.vehicles" :key="v.agent" :data-testid="'vehicle-' + v.agent"
                 :class="{old: !v.fresh, selected: v.agent === selected}" @mouseenter="selected = v.agent" @mouseleave="selected = ''">
               <th scope="row"><i class="lamp" :class="lamp(v)"></i>{{ v.agent }}<small>{{ v.host }}</small></th>
-              <td>{{ v.mode || "–" }}<small v-if="v.armed !== null">{{ v.armed ? "armed" : "disarmed" }}</small><template v-for="d in v.devices" :key="d.name"><span v-if="d.latched" class="latch" :class="{bad: !d.confirmed}"
+              <td>{{ v.mode || "–" }}<small v-if="v.armed !== null">{{ v.armed ? "armed" : "disarmed" }}</small><template v-for="d in v.devices" :key="d.name"><span v-if="d.latched" class="latch" :class="{bad: v.fresh && !d.confirmed, old: !v.fresh}"
                   :data-testid="'latch-' + d.name.replace('.', '-')" :title="d.latched">{{ latchWords(d) }}</span></template></td>
               <td class="number" :data-testid="'height-' + v.agent">{{ metres(v.height) }}</td>
               <td class="number" :class="{low: v.battery !== null && v.battery < 0.2}">{{ share(v.battery) }}</td>
@@ -127,7 +123,7 @@ export default {
     </dialog>
   </div>`,
   data: () => ({
-    look: null, log: [], taken: 0, now: 0, trouble: "", failed: "", selected: "",
+    look: null, log: [], taken: 0, now: 0, trouble: "", pending: {}, failures: {}, selected: "",
     asked: "", asking: false, answer: null, sure: "",
   }),
   computed: {
@@ -142,28 +138,20 @@ export default {
       return Object.fromEntries(Object.entries(this.barred).filter(([, why]) => !seen.has(why) && seen.add(why)));
     },
     liftable() {
-      return this.look?.stands ?? false;
+      const stop = this.look?.stop;
+      return Boolean(stop) && (this.look.stands || Object.keys({ ...stop.unreached, ...stop.before }).length > 0);
     },
     state() {
       if (!this.look) return "";
       const linked = this.look.hosts.filter((host) => host.linked).length;
       const said = [`${linked} of ${this.look.hosts.length} hosts linked`];
-      if (this.look.stands) said.push("STOPPED");
-      else if (this.look.paused.length) said.push(`paused at ${this.look.paused.join(", ")}`);
+      const { hosts, unreached } = this.look.stop;
+      const missing = Object.keys(unreached);
+      if (hosts.length) said.push(hosts.length === linked ? "STOPPED" : `STOPPED at ${hosts.join(", ")}`);
+      if (missing.length) said.push(`STOP has NOT REACHED ${missing.join(", ")}`);
+      if (this.look.paused.length) said.push(`paused at ${this.look.paused.join(", ")}`);
       if (this.stale) said.push(`last look ${words.age((this.now - this.taken) / 1000)} ago`);
       return said.join(" · ");
-    },
-    stopShown() {
-      const stop = this.look?.stop;
-      return stop && (this.look.stands || stop.unconfirmed && Object.keys(stop.unconfirmed).length || Object.keys(stop.unreached).length && stop.age !== null);
-    },
-    haltTitle() {
-      if (this.look.complete) {
-        const rest = this.look.stop.confirmed.every((device) => this.doing(device) === "at rest");
-        return `Stopped: every device is safe${rest ? " and at rest" : ", not yet at rest"}`;
-      }
-      const missing = Object.keys(this.look.stop.unconfirmed).length + Object.keys(this.look.stop.unreached).length;
-      return this.look.stands ? `Stopped: ${missing} not confirmed` : `Stop pressed: ${missing} not confirmed`;
     },
     sureWords() {
       return QUESTIONS[this.sure] ?? "";
@@ -182,14 +170,9 @@ export default {
       return "well";
     },
     latchWords(d) {
-      if (!d.confirmed) return "not confirmed";
-      return `safe, ${d.moving || "at rest"}`;
-    },
-    // What a device still does in its safe state.
-    doing(name) {
-      const devices = this.look.vehicles.flatMap((v) => v.devices);
-      const moving = devices.find((d) => d.name === name)?.moving;
-      return moving === undefined ? "not seen since" : moving || "at rest";
+      const was = d.fresh ? "" : "was ";
+      if (!d.confirmed) return `${was}not confirmed`;
+      return `${was}safe, ${d.moving || "at rest"}`;
     },
     // Many programs say who speaks.
     said({ agent, text }) {
@@ -207,7 +190,8 @@ export default {
       else if (host.trouble) parts.push(host.trouble);
       if (host.linked) parts.push(host.reaches.length ? `linked with ${host.reaches.join(", ")}` : "linked");
       for (const [other, seconds] of Object.entries(host.away)) parts.push(`misses ${other} for ${words.age(seconds)}`);
-      if (host.paused) parts.push("paused");
+      if (host.stopped) parts.push(host.linked ? "stopped" : "was stopped");
+      if (host.paused) parts.push(host.linked ? "paused" : "was paused");
       if (host.clock !== null && Math.abs(host.clock) > 1) parts.push(`its clock is ${words.age(Math.abs(host.clock))} ${host.clock > 0 ? "ahead" : "behind"}`);
       return parts.join(" · ");
     },
@@ -218,6 +202,7 @@ export default {
       this.look = look;
       this.taken = this.now = performance.now();
       this.trouble = "";
+      this.known();
       if (!log.length) return;
       this.log = [...this.log, ...log].slice(-LINES_KEPT);
       this.$nextTick(() => {
@@ -230,12 +215,27 @@ export default {
       this.atEnd = lines.scrollHeight - lines.scrollTop - lines.clientHeight < 24;
     },
     async press(order) {
+      const press = { since: performance.now(), after: this.newest([...PAIRS.flat()]) };
+      this.now = press.since;
+      this.pending = { ...this.pending, [order]: press };
+      this.failures = without(this.failures, pairOf(order));
       try {
         await act(order);
-        this.failed = "";
       } catch (error) {
-        this.failed = `${order.toUpperCase()} has perhaps not been done: ${error.message}; ${order === "stop" ? "press it again, or use 'lfield estop'" : "look, and press it again"}`;
+        this.failures = { ...this.failures, [order]: { why: error.message, refused: error.refused, after: press.after } };
+        this.known();
       }
+      if (this.pending[order]?.since === press.since) this.pending = without(this.pending, [order]);
+    },
+    // The number of the last order of these kinds of which the server has told.
+    newest(kinds) {
+      const numbers = this.look?.orders.filter((order) => kinds.includes(order.order)).map((order) => order.number) ?? [];
+      return Math.max(0, ...numbers);
+    },
+    // Of what the server has heard of all the same, the look says what came.
+    known() {
+      const heard = Object.entries(this.failures).filter(([order, failure]) => this.newest(pairOf(order)) > failure.after);
+      if (heard.length) this.failures = without(this.failures, heard.map(([order]) => order));
     },
     confirm(order) {
       this.sure = order;

@@ -1,0 +1,116 @@
+"""What came of orders from here, for as long as it is true."""
+
+from __future__ import annotations
+
+import pytest
+from sight_script import Teller, roll
+
+from lfield.errors import AddressError, NobodyListens
+from lfield.operator.sight.actions import Order
+from lfield.operator.sight.picture.team_picture import Picture
+from lfield.operator.sight.seen import OrderSeen
+from lfield.wire.events import Confirmed, Latched, Paused, Stopped
+from lfield.wire.observing import EmergencyStopped
+
+NOBODY = NobodyListens("alpha:8181")
+BOTH = ("alpha", "beta")
+
+
+class Desk:
+    """A picture of two hosts, and whoever presses buttons at it."""
+
+    def __init__(self) -> None:
+        self.picture = Picture(roll())
+        self.hosts = {"alpha": Teller(), "beta": Teller(8)}
+        self.now = 100.0
+
+    def tell(self, host: str, *whats: object) -> None:
+        self.now += 1.0
+        self.picture.told(host, self.hosts[host].batch(self.now, *whats), self.now, 0.0)  # type: ignore[arg-type]
+
+    def order(self, order: Order, **answers: EmergencyStopped | AddressError) -> int:
+        self.now += 1.0
+        number = self.picture.ordered(order, BOTH, self.now)
+        for host, answer in answers.items():
+            self.picture.answered(number, host, answer)
+        return number
+
+    @property
+    def seen(self):  # type: ignore[no-untyped-def]
+        return self.picture.seen(self.now)
+
+    @property
+    def last(self) -> OrderSeen:
+        return self.seen.orders[-1]
+
+
+def test_a_stop_that_reached_nobody_names_every_host_until_it_has_stopped() -> None:
+    desk = Desk()
+    desk.order("stop", alpha=NOBODY, beta=NOBODY)
+    assert desk.seen.stop.unreached == {"alpha": str(NOBODY), "beta": str(NOBODY)}
+    assert not desk.seen.stop.stands
+    desk.now += 3600.0
+    assert desk.last.age == 3600.0
+    desk.tell("alpha")
+    assert set(desk.seen.stop.unreached) == {"alpha", "beta"}, "it is heard, and has not stopped"
+    desk.tell("alpha", Stopped("bob", "a child"))
+    assert (desk.seen.stop.hosts, set(desk.seen.stop.unreached)) == (("alpha",), {"beta"})
+    desk.tell("alpha", Stopped("bob", "", True))
+    assert desk.seen.stop.unreached == {}, "somebody has lifted it"
+    assert desk.seen.orders == ()
+
+
+@pytest.mark.parametrize("order", ["pause", "resume", "lift"])
+def test_any_order_that_reached_nobody_says_so(order: Order) -> None:
+    desk = Desk()
+    desk.order(order, alpha=NOBODY, beta=NOBODY)
+    assert (desk.last.order, set(desk.last.unreached)) == (order, {"alpha", "beta"})
+
+
+def test_hosts_that_have_not_answered_yet_are_asked() -> None:
+    desk = Desk()
+    desk.tell("beta")
+    number = desk.order("stop", alpha=NOBODY)
+    assert (desk.last.asked, set(desk.seen.stop.unreached)) == (("beta",), {"alpha"})
+    desk.picture.answered(number, "beta", EmergencyStopped({"two.fc": ""}))
+    desk.tell("beta", Stopped("anna", "x"))
+    assert (desk.last.asked, desk.last.done) == ((), ("beta",))
+
+
+def test_a_host_whose_address_nobody_knows_is_not_reached_either() -> None:
+    desk = Desk()
+    desk.picture.answered(desk.picture.ordered("stop", ["alpha"], desk.now), "alpha", NOBODY)
+    assert "nobody knows where it is" in desk.seen.stop.unreached["beta"]
+
+
+def test_an_answer_to_an_order_that_is_over_changes_nothing() -> None:
+    desk = Desk()
+    old = desk.order("stop")
+    desk.order("lift", alpha=NOBODY)
+    desk.picture.answered(old, "beta", NOBODY)
+    assert [(order.order, order.asked) for order in desk.seen.orders] == [("lift", ("beta",))]
+
+
+def test_a_lift_ends_the_stop_where_it_is_heard_and_leaves_what_was_known_of_a_dead_host() -> None:
+    desk = Desk()
+    for host, device in (("alpha", "one.fc"), ("beta", "two.fc")):
+        desk.tell(host, Stopped("anna", "x"), Latched(device, "land", "x"), Confirmed(device, "land", "x"))
+    desk.picture.unlinked("beta", "the connection was lost")
+    assert desk.seen.stop.confirmed == ("one.fc",)
+    desk.order("lift", alpha=EmergencyStopped({}), beta=NOBODY)
+    desk.tell("alpha", Stopped("anna", "", True))
+    stop = desk.seen.stop
+    assert (stop.stands, stop.confirmed, stop.unreached) == (False, (), {})
+    assert stop.before == {"beta": ("two.fc",)}
+    assert (desk.last.done, desk.last.unreached) == (("alpha",), {"beta": str(NOBODY)})
+
+
+def test_a_stop_and_a_pause_stand_at_once() -> None:
+    desk = Desk()
+    desk.order("pause", alpha=EmergencyStopped({"one.fc": "its port is gone"}, "no disk"), beta=NOBODY)
+    desk.order("stop", alpha=NOBODY, beta=NOBODY)
+    assert [order.order for order in desk.seen.orders] == ["pause", "stop"]
+    assert desk.seen.orders[0].unconfirmed == {"one.fc": "its port is gone"}
+    assert desk.seen.orders[0].troubles == {"alpha": "no disk"}
+    desk.tell("alpha", Paused("bob", True))
+    assert [order.order for order in desk.seen.orders] == ["stop"]
