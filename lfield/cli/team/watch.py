@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import asyncio
+import signal
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -76,7 +77,7 @@ def run(args: argparse.Namespace) -> int:
     party = _only(meant_parties(args, meant_runs(args)))
     try:
         asyncio.run(_watch(args, path, team, party, tiles, page_keys))
-    except KeyboardInterrupt:
+    except (KeyboardInterrupt, asyncio.CancelledError):
         print("no longer looking, and nothing else has changed")
         return exits.INTERRUPTED
     return exits.DONE
@@ -116,6 +117,20 @@ def _only(parties: Sequence[Party]) -> Party:
     return parties[0]
 
 
+def _end_with_ctrl_c() -> None:
+    """Ctrl-C ends the task that runs, once: the next would cut off what the end still takes."""
+    loop, task = asyncio.get_running_loop(), asyncio.current_task()
+    # What a shell has put into the background does not hear it.
+    if task is None or signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+        return
+
+    def end() -> None:
+        loop.add_signal_handler(signal.SIGINT, lambda: None)
+        task.cancel()
+
+    loop.add_signal_handler(signal.SIGINT, end)
+
+
 async def _watch(
     args: argparse.Namespace,
     path: Path,
@@ -136,6 +151,10 @@ async def _watch(
         site = on_this_computer(args.port)
     else:
         site = on_a_network(args.listen, args.port, page_keys)
+    _end_with_ctrl_c()
+    if not party.runs:
+        where = listed([f"{host} at {address}" for host, address in party.addresses.items()])
+        print(f"nobody runs {path} on this computer: the page waits for {where}", flush=True)
     async with watched(path, team, party, found, args.keys) as shown:
         served = Served(
             f"{path.absolute().parent.name}/{path.stem}", shown, shown.actions, SystemClock(), tiles

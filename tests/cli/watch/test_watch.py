@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import signal
 import sqlite3
+import time
 from collections.abc import Iterator
 
 import pytest
@@ -77,6 +78,13 @@ def test_two_copters_move_and_stop_and_a_host_dies(browser, lfield, team):
     browser.wait(lambda: "old" in browser.thing("vehicle-wing").get_attribute("class"))
     assert "old" not in browser.thing("vehicle-lead").get_attribute("class")
     browser.says("host-alpha", "misses bravo")
+    browser.says("before-bravo", "wing.fc safe")
+    browser.thing("lift").click()
+    browser.thing("yes").click()
+    browser.says("order-lift", "bravo NOT REACHED")
+    browser.says("halt", "No stop stands where somebody is heard")
+    browser.says("state", "1 of 2 hosts linked")
+    assert "STOP" not in browser.text("state")
     assert browser.asked_hosts() == {link.removeprefix("http://").partition("/")[0]}
     assert browser.errors == []
 
@@ -138,5 +146,21 @@ def test_without_nicegui_the_sentence_says_what_to_install(here, lfield, monkeyp
 def test_a_page_of_a_team_that_is_not_there_waits_for_it(lfield, alone):
     page = lfield.start("watch", "--deploy", lfield.mission(PROGRAM, DEPLOYMENT), env=alone)
     page.wait_for("open this link: ")
+    page.wait_for("nobody runs .*mission.dL on this computer: the page waits for alpha at .* and bravo at ")
     page.signal(signal.SIGINT)
     assert page.wait() == 130, page.said
+
+
+@needs_browser
+@pytest.mark.browser
+def test_ctrl_c_twice_after_a_browser_ends_it_as_once(browser, lfield, alone):
+    page = lfield.start("watch", "--deploy", lfield.mission(PROGRAM, DEPLOYMENT), env=alone)
+    browser.open(page.wait_for(r"http://127\.0\.0\.1:\d+/\?token=\S+")[0])
+    browser.thing("stop").click()
+    for host in ("alpha", "bravo"):
+        browser.says(f"unreached-{host}", "NOT REACHED")
+    for _ in range(2):
+        page.signal(signal.SIGINT)
+        time.sleep(0.05)
+    assert page.wait() == 130, page.said
+    assert page.err == []
