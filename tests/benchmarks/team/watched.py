@@ -22,7 +22,7 @@ TEAMS = (2, 10, 50)
 MEASURED, ASKED_EVERY = 10.0, 0.2
 PROCESSOR, MEMORY, LATCH, LOOK = "processor", "resident", "from a latch to the page", "a look"
 
-_PAGE = str(Path(__file__).with_name("watched_page.py"))
+_PAGE, _HOSTS = (str(Path(__file__).with_name(f"watched_{name}.py")) for name in ("page", "hosts"))
 
 
 class Browser:
@@ -60,12 +60,15 @@ def watched(count: int) -> Opener:
 def measure(checkout: Checkout, count: int) -> Round:
     """A page for some seconds, from which a browser asks for a look as often as it does."""
     with Processes() as processes:
-        child = checkout.run(processes, _PAGE, str(count))
+        where = str(processes.folder()), str(count)
+        hosts = checkout.run(processes, _HOSTS, *where)
+        hosts.line()
+        child = checkout.run(processes, _PAGE, *where)
         browser = Browser(child.line())
         child.line()
         folder = Path(f"/proc/{child.pid}")
         for _ in range(10):
-            browser.look()
+            assert len(browser.look()) == count
             time.sleep(ASKED_EVERY)
         before, start = processor_seconds(folder), time.monotonic()
         looks = []
@@ -81,7 +84,7 @@ def measure(checkout: Checkout, count: int) -> Round:
             PROCESSOR: [100 * spent / took],
             MEMORY: [resident],
             LOOK: [browser.size / 1000],
-            LATCH: delays(child, looks, start, MEASURED),
+            LATCH: delays(hosts, looks, start, MEASURED),
         }
 
 
@@ -106,5 +109,8 @@ FIGURE = Figure(
     units={PROCESSOR: PERCENT, MEMORY: BYTES, LATCH: SECONDS, LOOK: "kB"},
     sizes={f"{count} vehicles": count for count in TEAMS},
     targets={"50 vehicles: processor": "20.00 %"},
-    notes=("the process that serves it, one browser that asks 5 times a second; of one core",),
+    notes=(
+        "the process that serves it, one browser that asks 5 times a second; of one core",
+        "every vehicle has a host of its own, and each host a link over a Unix socket",
+    ),
 )

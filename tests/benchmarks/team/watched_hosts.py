@@ -1,0 +1,159 @@
+"""The hosts of so many vehicles, one each, at Unix sockets of a folder: `watched_hosts.py FOLDER N`.
+
+They greet, take a `Watch`, and tell as often as it says, in the bytes of real hosts over real links; nothing
+but a vehicle's telemetry is behind them. What they send beyond what was seen is bounded as theirs is. Says
+`ready`, and then a line for each latch: device, whether it is held, monotonic time.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import math
+import random
+import sys
+import time
+
+from lfield.errors import LfieldError
+from lfield.net.tcp import TcpTransport
+from lfield.net.transport import Link
+from lfield.wire.coordinators import Transfer
+from lfield.wire.events import Came, Event, Latched, Measured, Released, Standing
+from lfield.wire.messages import Hello, Message
+from lfield.wire.watching import WINDOW, Events, Seen, Watch
+
+RATE = 5.0
+#: Seconds between two latches of the team, on average.
+LATCH_EVERY = 0.7
+#: The seconds that a host waits for more before it sends a batch.
+GATHERED = 0.05
+
+
+class Host:
+    """One, and who watches it. Implements `LinkHandler`."""
+
+    def __init__(self, number: int) -> None:
+        self.number, self._began = number, time.monotonic()
+        self._link: Link | None = None
+        self._batches = self._seen = self._states = self._sent = 0
+        self._due: list[Event] = []
+        self._dice = random.Random(number)
+        self.latched = False
+
+    @property
+    def watched(self) -> bool:
+        """Whether somebody has asked for what happens."""
+        return self._link is not None
+
+    def on_message(self, link: Link, message: Message) -> None:
+        """A greeting, a watch, or that something was seen."""
+        match message:
+            case Hello():
+                link.greeted(message.role)
+                link.send(Hello("host", f"h{self.number}", 1))
+            case Watch():
+                self._link, self._batches, self._seen = link, 0, 0
+                self._send()
+            case Seen(batch):
+                self._seen = batch
+
+    def on_transfer(self, link: Link, header: Transfer, block: memoryview) -> None:
+        """Nobody sends one."""
+
+    def on_oversize(self, link: Link, header: Transfer, size: int) -> None:
+        """Nor a larger one."""
+
+    def on_closed(self, link: Link, error: LfieldError | None) -> None:
+        """Whoever watched is gone."""
+        self._link = None
+
+    def telemetry(self) -> None:
+        """What its vehicle tells, and now and then where a coordinator stands; lost where nobody reads."""
+        if self._batches - self._seen >= WINDOW:
+            return
+        self._tell(self._measured())
+        if self._dice.random() < 0.1:
+            self._tell(Standing("pilot", "running", "mission.L", 12, "v1.fly"))
+        self._send()
+
+    async def state(self, what: Latched | Released | Came) -> None:
+        """Something that no watcher may miss."""
+        self._states += 1
+        self._tell(what)
+        await asyncio.sleep(self._dice.uniform(0.0, GATHERED))
+        self._send()
+
+    def _tell(self, what: Measured | Standing | Latched | Released | Came) -> None:
+        up = time.monotonic() - self._began
+        self._due.append(Event(self._states, time.time(), up, 0, what))
+
+    def _send(self) -> None:
+        if self._link is None:
+            return
+        self._batches += 1
+        up = time.monotonic() - self._began
+        due, self._due = self._due, []
+        self._link.send(Events(1, self._batches, time.time(), up, self._sent, self._states, due))
+        self._sent = self._states
+
+    def _measured(self) -> Measured:
+        host = self.number
+        angle = (time.monotonic() - self._began) / 5 + host
+        north, east = (8 + 2 * host) * math.cos(angle), (8 + 2 * host) * math.sin(angle)
+        values = {
+            "position": [north, east, -5.0 - host % 7],
+            "globalPosition": [47.0 + north * 9e-6, 8.0 + east * 13e-6, 400.0],
+            "velocity": [1.0, 0.5, 0.0],
+            "attitude": [0.01, 0.02, angle % 6.28],
+            "heading": angle % 6.28,
+            "groundSpeed": 1.4,
+            "altitude": 5.0 + host % 7,
+            "battery": 0.9,
+            "voltage": 15.8,
+            "current": 11.0,
+            "mode": "GUIDED",
+            "armed": True,
+            "fix": 3,
+            "satellites": 14,
+            "ready": True,
+        }
+        return Measured(f"v{host}.fc", values, 0.05)
+
+
+async def latches(hosts: list[Host]) -> None:
+    """A device goes into its safe state, or out of it, and a coordinator comes somewhere."""
+    dice, number = random.Random(2), 0
+    while True:
+        await asyncio.sleep(dice.uniform(0.5, 1.5) * LATCH_EVERY)
+        number += 1
+        host = dice.choice(hosts)
+        device, host.latched = f"v{host.number}.fc", not host.latched
+        what = Latched(device, "land", "somebody wants it") if host.latched else Released(device)
+        print(device, int(host.latched), time.monotonic(), flush=True)
+        await host.state(what)
+        of = f"h{(number - 1) % len(hosts)}"
+        await hosts[number % len(hosts)].state(Came("pilot", 1, number, of, 620))
+
+
+async def main(folder: str, count: int) -> None:
+    """Tell until killed."""
+    transport, hosts = TcpTransport(1 << 20), [Host(number) for number in range(count)]
+    listeners = [
+        await transport.listen(f"unix:{folder}/h{host.number}.sock", lambda _, host=host: host)
+        for host in hosts
+    ]
+    assert len(listeners) == count
+    print("ready", flush=True)
+
+    async def one(host: Host) -> None:
+        while not host.watched:
+            await asyncio.sleep(0.1)
+        await asyncio.sleep(host.number / count / RATE)
+        while True:
+            host.telemetry()
+            await asyncio.sleep(1 / RATE)
+
+    await asyncio.gather(latches(hosts), *map(one, hosts))
+
+
+if __name__ == "__main__":
+    asyncio.run(main(sys.argv[1], int(sys.argv[2])))
