@@ -44,7 +44,7 @@ FIGURES = {
     "recovery": "team.recovery",
     "formation": "team.formation",
     "missions": "team.tested_missions",
-    "watch": "team.watched",
+    "watch": "page.watched",
 }
 
 #: What the picture of the README shows, in this order.
