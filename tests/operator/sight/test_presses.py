@@ -52,7 +52,7 @@ def test_a_stop_that_reached_nobody_names_every_host_until_it_has_stopped() -> N
     desk.now += 3600.0
     assert desk.last.age == 3600.0
     desk.tell("alpha")
-    assert set(desk.seen.stop.unreached) == {"alpha", "beta"}, "it is heard, and has not stopped"
+    assert desk.seen.stop.unreached["alpha"] == "it is heard now, and has not done it: press once more"
     desk.tell("alpha", Stopped("bob", "a child"))
     assert (desk.seen.stop.hosts, set(desk.seen.stop.unreached)) == (("alpha",), {"beta"})
     desk.tell("alpha", Stopped("bob", "", True))

@@ -24,6 +24,8 @@ _WANTED: Mapping[Order, Callable[[HostSeen], bool]] = {
     "resume": lambda host: not host.paused,
 }
 
+_HEARD_NOW = "it is heard now, and has not done it: press once more"
+
 
 @dataclass(slots=True)
 class _Press:
@@ -55,7 +57,7 @@ class _Press:
             elif answer is None:
                 asked.append(name)
             else:
-                unreached[name] = answer
+                unreached[name] = _HEARD_NOW if host is not None and host.linked else answer
         age = max(0.0, now - self.when)
         return OrderSeen(
             self.number, self.order, age, tuple(asked), tuple(done), unreached, unconfirmed, troubles

@@ -21,7 +21,8 @@ export function age(seconds) {
 
 export function duration(seconds) {
   if (seconds === null) return "";
-  return seconds < 1 ? `${(seconds * 1000).toPrecision(2)} ms` : `${seconds.toFixed(1)} s`;
+  if (seconds >= 1) return `${seconds.toFixed(1)} s`;
+  return seconds < 0.01 ? `${(seconds * 1000).toPrecision(2)} ms` : `${Math.round(seconds * 1000)} ms`;
 }
 
 export function place(vehicle) {
