@@ -105,6 +105,18 @@ def test_a_lift_ends_the_stop_where_it_is_heard_and_leaves_what_was_known_of_a_d
     assert (desk.last.done, desk.last.unreached) == (("alpha",), {"beta": str(NOBODY)})
 
 
+def test_what_a_dead_host_had_not_confirmed_stays_told_until_the_lift() -> None:
+    desk = Desk()
+    desk.tell("alpha", Stopped("anna", "x"))
+    desk.tell("beta", Stopped("anna", "x"), Latched("two.fc", "land", "x"))
+    desk.picture.unlinked("beta", "the connection was lost")
+    stop = desk.seen.stop
+    assert stop.unconfirmed["two.fc"] == "its safe state is not confirmed yet"
+    assert stop.before == {"beta": ()}
+    desk.tell("alpha", Stopped("anna", "", True))
+    assert desk.seen.stop.unconfirmed == {}
+
+
 def test_a_stop_and_a_pause_stand_at_once() -> None:
     desk = Desk()
     desk.order("pause", alpha=EmergencyStopped({"one.fc": "its port is gone"}, "no disk"), beta=NOBODY)

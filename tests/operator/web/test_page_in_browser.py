@@ -101,6 +101,14 @@ def test_a_host_that_dies_stays_as_it_was_last_known(browser, page_of):
     browser.wait(lambda: browser.text("vehicle-wing") != age)
     assert browser.text("place-wing") == place
     assert "old" not in browser.thing("vehicle-lead").get_attribute("class")
+    # The coordinator there is as grey as the vehicle.
+    greys = (
+        "return [...document.querySelectorAll('.mind.old path, .marker.old .dart')]"
+        ".map((each) => getComputedStyle(each).fill)"
+    )
+    seen: list[list[str]] = []
+    browser.wait(lambda: len(seen.append(browser.driver.execute_script(greys)) or seen[-1]) == 2)
+    assert len(set(seen[-1])) == 1
     browser.thing("stop").click()
     browser.says("unreached-bravo", "NOT REACHED: nobody listens there")
 

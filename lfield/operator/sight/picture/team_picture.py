@@ -278,11 +278,15 @@ class Picture:
         for name, host in stopped.items():
             states = self._devices.of(name)
             safe = [device for device, problem in states.items() if not problem]
-            if not host.linked:
+            if host.linked:
+                confirmed += safe
+            else:
                 before[name] = tuple(safe)
-                continue
-            confirmed += safe
-            unconfirmed |= {device: host.refusals.get(device, why) for device, why in states.items() if why}
+            # Of who is not heard that counts for as long as a stop is wanted at all.
+            if host.linked or standing or pressed is not None:
+                unconfirmed |= {
+                    device: host.refusals.get(device, why) for device, why in states.items() if why
+                }
         unreached = dict(pressed.unreached) if pressed is not None else {}
         asked = pressed.asked if pressed is not None else ()
         for name, host in self._hosts.items() if standing or pressed is not None else ():

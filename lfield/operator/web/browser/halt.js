@@ -22,7 +22,7 @@ export default {
         <li v-for="(why, device) in stop.unconfirmed" :key="'u' + device" class="bad" :data-testid="'unconfirmed-' + device"><b>{{ device }}</b> NOT CONFIRMED: {{ why }}</li>
         <li v-for="host in asked" :key="'a' + host" class="bad"><b>{{ host }}</b> is asked, and has not answered yet</li>
         <li v-for="device in stop.confirmed" :key="'c' + device" :data-testid="'confirmed-' + device"><b>{{ device }}</b> safe, {{ doing(device) }}</li>
-        <li v-for="(devices, host) in stop.before" :key="'b' + host" class="old" :data-testid="'before-' + host"><b>{{ host }}</b> is not heard; {{ silence(host) }} it had stopped, {{ devices.length ? devices.join(", ") + " safe" : "nothing of it safe" }}</li>
+        <li v-for="(devices, host) in stop.before" :key="'b' + host" class="old" :data-testid="'before-' + host"><b>{{ host }}</b> is not heard; {{ silence(host) }} it had stopped{{ devices.length ? ", " + devices.join(", ") + " safe" : "" }}</li>
       </ul>
     </section>
     <section v-for="order in others" :key="order.number" class="halt" :class="{quiet: well(order)}" role="status" :data-testid="'order-' + order.order">
