@@ -170,8 +170,8 @@ def refuse_unfound(error: OutputFileError) -> None:
     """For hosts that no other computer can reach either: nobody could stop them. Raises OutputFileError."""
     raise OutputFileError(
         error.path,
-        f"{error.reason}; no command could find what runs, to stop it: set XDG_RUNTIME_DIR to a folder of "
-        f"your own, or remove {error.path}",
+        f"{error.reason}; no command could find what runs, to stop it: set XDG_RUNTIME_DIR to another folder "
+        "of your own, or remove what is in the way",
     ) from None
 
 

@@ -112,7 +112,7 @@ def test_what_nobody_else_has_keys_of_does_not_begin_unfound(folder):
         pytest.fail("it runs")
     assert str(error.value) == (
         f"cannot write {folder}: it is not a folder; no command could find what runs, to stop it: set "
-        f"XDG_RUNTIME_DIR to a folder of your own, or remove {folder}"
+        "XDG_RUNTIME_DIR to another folder of your own, or remove what is in the way"
     )
 
 

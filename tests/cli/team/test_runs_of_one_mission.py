@@ -133,7 +133,7 @@ def test_a_run_that_no_command_could_find_does_not_start(lfield, own, mission):
         assert lfield.status(refused) == 73, refused.said
         assert refused.err == [
             f"lfield: cannot write {place}: it is not a folder; no command could find what runs, to stop it: "
-            f"set XDG_RUNTIME_DIR to a folder of your own, or remove {place}"
+            "set XDG_RUNTIME_DIR to another folder of your own, or remove what is in the way"
         ]
 
 
