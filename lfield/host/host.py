@@ -188,7 +188,7 @@ class Host:
             if door:
                 await self.peers.open_door(door)
         except AddressError as error:
-            self.note(f"ps, query and estop need --map to find this host: {error}")
+            self.note(f"commands find this host over the network only, with a person's keys: {error}")
 
     async def stop(self) -> dict[str, str]:
         """Make the devices safe, stay until they are at rest, then close everything.
