@@ -37,7 +37,7 @@ class Admission:
         self.barred: Callable[[Identity], Mapping[Right, str]] = lambda who: {}
 
     def verdict(self, who: Identity, *, linked: bool = False, expected: str = "") -> Verdict:
-        """What somebody is good for now; `linked`: by a link that stands. `expected` is who was called."""
+        """What somebody is good for now; `linked`: by a link of a host. `expected` is who was called."""
         return ALL_IS_WELL
 
     def signed(self, hello: Hello) -> Hello:

@@ -148,13 +148,19 @@ def _inside(base: Path, name: str) -> Path:
 
 def _read(path: Path, most: int, *, secret: bool = False, needed: bool = True) -> bytes:
     try:
-        return read_private(Path(os.path.realpath(path.parent), path.name), most, _owners(), secret=secret)
+        data = read_private(Path(os.path.realpath(path.parent), path.name), most, _owners(), secret=secret)
     except FileNotFoundError:
         if not needed:
             return b""
         raise KeysError(f"{path} is not there: copy the folder again from where its authority is") from None
     except OSError as error:
         raise KeysError(f"{path} cannot be used: {_reason(error)}") from None
+    if not data:
+        # For a list it would mean that nobody is revoked.
+        raise KeysError(
+            f"{path} is empty: it was cut short when it was copied; copy it again from where its authority is"
+        )
+    return data
 
 
 def _owners() -> tuple[int, int]:

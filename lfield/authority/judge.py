@@ -11,8 +11,9 @@ yes to finish only. `at` is always the believed time (`believed.py`).
     | revoked, of a host      | no                    | to finish, on a link that stands |
     | revoked, of a person    | no                    | no                               |
 
-A revoked key may be in wrong hands, so nobody dials anew with one; a link that stands was made before. A host
-that is cut off cannot know of a revocation.
+A revoked key may be in wrong hands, so nobody dials anew with one; a link that stands was made before. That
+is the host's own link: one on which its key only looks, or stops, carries nothing home. A host that is cut
+off cannot know of a revocation.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ from lfield.authority.identity import NONE, Identity, Right, in_order
 #: For `SSLContext.verify_flags`: OpenSSL's X509_V_FLAG_NO_CHECK_TIME, which the ssl module has no name for.
 NO_CHECK_TIME = 0x200000
 
-#: How a peer is known here: not at all, greeted in this mission before, or by a link that stands.
+#: How a peer is known here: not at all, greeted in this mission before, or by a host's link that stands.
 Known = Literal["new", "greeted", "linked"]
 
 #: What is left to people while there is only something to finish.

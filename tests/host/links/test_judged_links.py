@@ -6,6 +6,7 @@ import asyncio
 import time
 from dataclasses import replace
 
+import msgspec
 import pytest
 
 from lfield.authority.admission import Judged
@@ -18,7 +19,11 @@ from lfield.operator.ask import STATUS, ask, emergency_stop
 from lfield.simulate import network
 from lfield.simulate.time import LoopClock
 from lfield.testing.keys import Keyring
-from lfield.wire.messages import Revocations
+from lfield.wire.messages import Hello, Refuse, Revocations
+from lfield.wire.observing import EmergencyStop
+from lfield.wire.watching import Watch
+
+OBSERVER = Hello("observer", "observer", 0)
 
 #: A coordinator that ends when it is told nothing.
 PROGRAM = """
@@ -180,6 +185,54 @@ def test_a_revoked_host_is_not_linked_anew_even_in_flight(fleet, judges):
     fleet(story)
 
 
+def test_a_revoked_host_keeps_no_link_on_which_it_only_looks_even_in_flight(fleet, judges):
+    async def story(team):
+        alpha, _ = await both_up(team, judges, ENDLESS)
+        await team.until(lambda: linked(alpha))
+        looks = await _looks(team, "bravo", Watch())
+        desk = await _looks(team, "desk")
+        desk.link.send(Revocations(judges.list(7, judges.who["bravo"].serial)))
+        await team.until(lambda: looks.over)
+        assert "the keys of host bravo are revoked (list 7)" in looks.refused
+        assert linked(alpha), "the link of the host itself stays, to finish"
+        assert not desk.over
+
+    fleet(story)
+
+
+def test_a_link_that_is_not_taken_yet_when_the_list_comes_is_none(fleet, judges):
+    async def story(team):
+        (alpha,) = await team.up(team.mission(PROGRAM, ENDLESS), "alpha", admission=judges.admission("alpha"))
+        slow = await _looks(team, "bravo", greets=alpha.host.hello())
+        await team.until(lambda: slow.heard)
+        await _says(team, judges.list(7, judges.who["bravo"].serial))
+        await team.until(lambda: slow.over)
+        assert "are revoked (list 7)" in slow.refused
+        assert not linked(alpha)
+
+    fleet(story)
+
+
+@pytest.mark.parametrize("name", ["bravo", "desk"])
+def test_whose_certificate_ends_in_flight_keeps_the_link_to_look_and_stop(fleet, judges, name):
+    async def story(team):
+        judges.ends(name, 5.0)
+        alpha, _ = await both_up(team, judges, ENDLESS)
+        await team.until(lambda: linked(alpha))
+        looks, lifts = [await _looks(team, name) for _ in range(2)]
+        await asyncio.sleep(30.0)
+        assert not looks.over
+        lifts.link.send(EmergencyStop("", lift=True))
+        await team.until(lambda: lifts.over)
+        assert ("may only look and stop" if name == "desk" else "a person has it") in lifts.refused
+        looks.link.send(EmergencyStop("enough"))
+        await team.until(lambda: looks.over)
+        assert f"the certificate of {judges.who[name]} ended" in looks.refused
+        assert "EMERGENCY STOP" in alpha.log
+
+    fleet(story)
+
+
 def test_a_list_that_the_authority_has_not_signed_closes_that_link_and_no_other(fleet, judges):
     async def story(team):
         alpha, _ = await both_up(team, judges, DONE)
@@ -235,21 +288,34 @@ def test_a_clock_that_stopped_years_ago_goes_by_what_the_authority_and_the_team_
     fleet(story)
 
 
-class Idle:
-    """Keeps its link and hears nothing."""
+class Looker:
+    """Keeps its link, and notes how that ends."""
+
+    def __init__(self) -> None:
+        self.refused, self.heard, self.over = "", False, False
 
     def on_message(self, link, message):
+        self.heard = True
         link.greeted("host")
+        if isinstance(message, Refuse):
+            self.refused = message.reason
 
     def on_closed(self, link, error):
-        pass
+        self.over = True
+
+
+async def _looks(team, name, *words, greets=None):
+    """Somebody who has a link to alpha, as an observer; or `greets` so and then says nothing more."""
+    looker = Looker()
+    looker.link = await team.network.transport(name).connect("alpha:8181", looker)
+    for message in (
+        msgspec.structs.replace(greets, host=name, incarnation=9) if greets else OBSERVER,
+        *words,
+    ):
+        looker.link.send(message)
+    return looker
 
 
 async def _says(team, data):
     """A person brings a revocation list."""
-    from lfield.wire.messages import Hello
-
-    link = await team.network.transport("desk").connect("alpha:8181", Idle())
-    link.send(Hello("observer", "observer", 0))
-    link.send(Revocations(data))
-    return link
+    return (await _looks(team, "desk", Revocations(data))).link
