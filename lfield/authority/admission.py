@@ -23,6 +23,10 @@ if TYPE_CHECKING:
     from lfield.wire.messages import Hello
 
 
+#: So many certificates of a list are named in a line.
+_NAMED = 8
+
+
 class Admission:
     """Nobody is judged."""
 
@@ -47,9 +51,12 @@ class Admission:
     def greeted(self, who: Identity, hello: Hello) -> None:
         """Somebody was let in, and says so."""
 
-    def newer(self, data: bytes) -> bool:
-        """Take a revocation list; whether it is newer than the own one. Raises KeysError for a bad one."""
-        return False
+    def news(self, data: bytes) -> str:
+        """Take a revocation list: what to tell of it, in a line; '' when nothing in it is new.
+
+        Raises KeysError for a bad one.
+        """
+        return ""
 
     def line(self) -> str:
         """What to tell of the time, once: '' when this computer's clock is believed."""
@@ -106,19 +113,37 @@ class Judged(Admission):
         self.time.told(hello.time, who)
         self._greeted.add(who.serial)
 
-    def newer(self, data: bytes) -> bool:
+    def news(self, data: bytes) -> str:
         if data == self.list:
-            return False
+            return ""
         # Large, and of no use to whoever has no keys.
         from lfield.authority.reading import revoked_in
 
-        read = revoked_in(data, self._authority)
-        if read.number <= self.number:
-            return False
-        self.revoked, self.list, self.number = read, data, read.number
-        self.time.proven(read.at, f"revocation list {read.number}")
-        self.keep(data)
-        return True
+        own, read = self.revoked, revoked_in(data, self._authority)
+        newer = read.number > own.number
+        if not newer and read.serials <= own.serials:
+            return ""
+        # Nothing that the authority has ever revoked is good again.
+        self.revoked = own.united(read)
+        if newer:
+            self.list, self.number = data, read.number
+            self.time.proven(read.at, f"revocation list {read.number}")
+            self.keep(data)
+        return f"revocation list {read.number} has come" + (_lost(own, read) if newer else _lost(read, own))
 
     def line(self) -> str:
         return self.time.line()
+
+
+def _lost(older: Revoked, newest: Revoked) -> str:
+    """What a list does not revoke that another one does, and what to do; '' where there is nothing."""
+    lost = sorted(older.serials - newest.serials)
+    if not lost:
+        return ""
+    named, more = ", ".join(lost[:_NAMED]), f" and {len(lost) - _NAMED} more" if len(lost) > _NAMED else ""
+    other = "another one of that number" if older.number == newest.number else f"list {older.number}"
+    return (
+        f"; list {newest.number} does not revoke {named}{more}, which {other} does: an older copy of the "
+        f"authority was put back. This host believes none of these until it ends; revoke them again: 'lfield "
+        f"keys revoke serial {lost[0]}'"
+    )

@@ -20,7 +20,7 @@ from __future__ import annotations
 
 import datetime
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 from lfield.authority.identity import NONE, Identity, Right, in_order
@@ -42,6 +42,11 @@ class Revoked:
     number: int = 0
     serials: frozenset[str] = frozenset()
     at: float = 0.0
+
+    def united(self, other: Revoked) -> Revoked:
+        """The list of the higher number, with what either of them revokes."""
+        newest = other if other.number > self.number else self
+        return replace(newest, serials=self.serials | other.serials)
 
     def __str__(self) -> str:
         count = len(self.serials)

@@ -325,11 +325,11 @@ class Peers:
     def _take_list(self, data: bytes) -> None:
         """A revocation list has come: pass on one that is new to all, and to its end whom it is about."""
         try:
-            newer = self._admission.newer(data)
+            line = self._admission.news(data)
         except KeysError as error:
             raise WireError(str(error)) from None
-        if newer:
-            self._owner.note(f"revocation list {self._admission.number} has come")
+        if line:
+            self._owner.note(line)
             for host in self._links:
                 self.send(host, Revocations(data))
             self.judge()

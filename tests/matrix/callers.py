@@ -280,7 +280,7 @@ class Network:
         if fate.ends:
             clock.advance(120.0)
         else:
-            assert admission.newer(self.list)
+            assert admission.news(self.list)
         peers.judge()
 
     def _words(self, hello: Hello, what: str) -> list[bytes]:

@@ -10,7 +10,7 @@ import asyncio
 from collections.abc import Collection, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from functools import partial
+from functools import partial, reduce
 from pathlib import Path
 
 from lfield.authority import folder
@@ -124,7 +124,8 @@ def _newest(proof: Proof) -> tuple[Revoked, bytes]:
     if not any(lists):
         return NOBODY, b""
     read = [(revoked_in(data, proof.keys.authority), data) for data in lists if data]
-    return max(read, key=lambda found: found[0].number)
+    newest, data = max(read, key=lambda found: found[0].number)
+    return reduce(Revoked.united, (found for found, _ in read), newest), data
 
 
 def _keep_aside(folders: Sequence[Path], data: bytes) -> None:

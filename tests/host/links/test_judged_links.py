@@ -156,6 +156,35 @@ def test_a_revocation_list_travels_with_greetings_and_is_kept(fleet, judges):
     fleet(story)
 
 
+@pytest.mark.parametrize(("first", "second"), [(7, 8), (7, 7), (8, 7)])
+def test_what_any_list_has_revoked_stays_so_and_where_lists_differ_it_is_told(fleet, judges, first, second):
+    """As where a copy of the authority was put back, from before the first."""
+
+    async def story(team):
+        alpha, bravo = await both_up(team, judges, ENDLESS)
+        await team.until(lambda: linked(alpha))
+        desk = await _looks(team, "desk")
+        for number, serial in ((first, "aa11"), (second, "bb22"), (second, "bb22")):
+            desk.link.send(Revocations(judges.list(number, serial)))
+        missing, has, newest = ("aa11", first, second) if second > first else ("bb22", second, first)
+        other = f"list {has}" if first != second else "another one of that number"
+        line = f"list {newest} does not revoke {missing}, which {other} does"
+        for host in (alpha, bravo):
+            await team.until(lambda host=host: line in host.log)
+            await asyncio.sleep(5.0)
+            assert host.log.count(line) == 1
+            assert f"'lfield keys revoke serial {missing}'" in host.log
+            admission = host.host.options.admission
+            assert (admission.number, admission.revoked.serials) == (newest, {"aa11", "bb22"})
+            assert admission.list == judges.list(newest, "aa11" if newest == first else "bb22")
+        both = judges.list(9, "aa11", "bb22")
+        desk.link.send(Revocations(both))
+        await team.until(lambda: "revocation list 9 has come\n" in bravo.log)
+        assert judges.kept[-2:] == [both, both]
+
+    fleet(story)
+
+
 def test_a_revoked_peer_loses_its_link_unless_something_flies(fleet, judges):
     async def story(team):
         for deployment, stays in ((DONE, False), (ENDLESS, True)):

@@ -83,10 +83,11 @@ def test_the_newest_list_counts_wherever_it_is_and_a_new_one_is_kept(ring, tmp_p
     folder.write_list(kept, ring.listed(5, "fe"))
     admission = judged(Proof(keys, (own, kept)))
     admission.keep = partial(keep_list, (own, kept))
-    assert (admission.number, admission.revoked.serials) == (5, frozenset({"fe"}))
-    assert admission.newer(ring.listed(6, "fd"))
+    assert (admission.number, admission.revoked.serials) == (5, frozenset({"fe", "ff"}))
+    assert admission.news(ring.listed(6, "fd", "fe", "ff")) == "revocation list 6 has come"
     assert judged(Proof(folder.read(own, "host"))).number == 6
-    assert not admission.newer(ring.listed(6, "fc")), "a list of the same number is no newer one"
+    assert not admission.news(ring.listed(5)), "an older one that revokes nobody else"
+    assert folder.read_list(own) == admission.list
 
 
 def test_where_the_keys_are_of_a_service_a_list_is_kept_elsewhere(ring, tmp_path):
@@ -95,7 +96,7 @@ def test_where_the_keys_are_of_a_service_a_list_is_kept_elsewhere(ring, tmp_path
     unwritable.write_text("no folder can be made here")
     admission = judged(Proof(keys, (kept,)))
     admission.keep = partial(keep_list, (unwritable / "keys", kept))
-    assert admission.newer(ring.listed(1, "ff"))
+    assert admission.news(ring.listed(1, "ff"))
     assert folder.read_list(kept) == admission.list
 
 
