@@ -32,13 +32,26 @@ class Admission:
 
     #: The own revocation list as it travels, and its number; empty and 0 where there is none.
     list, number = b"", 0
+    #: Why the own list may be lost with this process, and what that means, in a sentence; '' when it is kept.
+    unkept = ""
 
     def __init__(self) -> None:
         #: Whether the mission of this host goes on; and what keeps a new list for its next life.
         self.flies: Callable[[], bool] = lambda: False
         self.keep: Callable[[bytes], None] = lambda data: None
+        #: Where lines for the log go.
+        self.note: Callable[[str], None] = lambda line: None
         #: What the mission takes of somebody's rights, and by which rule, in a sentence.
         self.barred: Callable[[Identity], Mapping[Right, str]] = lambda who: {}
+
+    def serve(
+        self,
+        flies: Callable[[], bool],
+        barred: Callable[[Identity], Mapping[Right, str]],
+        note: Callable[[str], None],
+    ) -> None:
+        """Whom it is asked for."""
+        self.flies, self.barred, self.note = flies, barred, note
 
     def verdict(self, who: Identity, *, linked: bool = False, expected: str = "") -> Verdict:
         """What somebody is good for now; `linked`: by a link of a host. `expected` is who was called."""
@@ -80,8 +93,8 @@ class Judged(Admission):
         super().__init__()
         self._authority, self.own, self.time = keys.authority, own, time
         self.revoked, self.list, self.number = revoked, data, revoked.number
-        #: The certificates of those who have greeted in this mission, by number.
-        self._greeted: set[str] = set()
+        #: Those who have greeted in this mission, by the numbers of their certificates.
+        self._greeted: dict[str, str] = {}
         time.proven(own.begins, f"the certificate of {own}")
         time.proven(revoked.at, f"revocation list {revoked.number}")
 
@@ -111,7 +124,7 @@ class Judged(Admission):
 
     def greeted(self, who: Identity, hello: Hello) -> None:
         self.time.told(hello.time, who)
-        self._greeted.add(who.serial)
+        self._greeted[who.serial] = str(who)
 
     def news(self, data: bytes) -> str:
         if data == self.list:
@@ -130,6 +143,19 @@ class Judged(Admission):
             self.time.proven(read.at, f"revocation list {read.number}")
             self.keep(data)
         return f"revocation list {read.number} has come" + (_lost(own, read) if newer else _lost(read, own))
+
+    def kept(self, why: str) -> None:
+        """The own list is kept for the next life of this host, or `why` it is not."""
+        if why:
+            known = {self._greeted[serial] for serial in self.revoked.serials & self._greeted.keys()}
+            names = f" ({', '.join(sorted(known))})" if known else ""
+            why = (
+                f"revocation list {self.number} is not kept: {why}. After a restart this host would let in "
+                f"whom it revokes{names}: make room, or copy the list to its keys"
+            )
+        if why != self.unkept:
+            self.note(why or f"revocation list {self.number} is kept now")
+        self.unkept = why
 
     def line(self) -> str:
         return self.time.line()
