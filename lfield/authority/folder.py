@@ -17,8 +17,8 @@ from __future__ import annotations
 
 import errno
 import os
-from collections.abc import Mapping
-from contextlib import suppress
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from lfield.authority.keys import (
@@ -117,6 +117,15 @@ def read_trusted(folder: Path) -> bytes:
 def read_secret(path: Path) -> bytes:
     """A private key. Raises KeysError, also when others may read it."""
     return _read(path, MAX_PEM, secret=True)
+
+
+@contextmanager
+def of(path: Path) -> Iterator[None]:
+    """Whatever is wrong meanwhile with what a file says, or those of a folder, names it: a KeysError."""
+    try:
+        yield
+    except KeysError as error:
+        raise KeysError(f"{path}: {error}") from None
 
 
 def write(folder: Path, keys: Keys) -> None:

@@ -62,7 +62,8 @@ class Ledger:
                 f"{folder / REVOKED} is not there: put a copy of it there, of the keys of any host; a list "
                 "that begins anew would be taken for an older one"
             )
-        self.revoked = revoked_in(self._list, authority.certificate)
+        with folders.of(folder / REVOKED):
+            self.revoked = revoked_in(self._list, authority.certificate)
 
     def rows(self, at: float) -> list[Row]:
         """Everything that was made, by kind and name, the oldest first. Raises KeysError."""
@@ -183,7 +184,10 @@ class Ledger:
 
     def _issued(self) -> Iterator[Identity]:
         for path in sorted((self.folder / ISSUED).glob("*.pem")):
-            yield identity_in(self._certificate(path.stem), self.authority.certificate)
+            certificate = self._certificate(path.stem)
+            with folders.of(path):
+                who = identity_in(certificate, self.authority.certificate)
+            yield who
 
     def _certificate(self, serial: str) -> bytes:
         try:
@@ -215,4 +219,7 @@ def opened(folder: Path) -> Iterator[Ledger]:
     if not (folder / AUTHORITY).exists():
         raise KeysError(f"{folder} has no authority: 'lfield keys init' makes one, --authority names another")
     with private_locked(folder):
-        yield Ledger(folder, read_authority(folders.read_trusted(folder), folders.read_secret(folder / KEY)))
+        trusted, key = folders.read_trusted(folder), folders.read_secret(folder / KEY)
+        with folders.of(folder):
+            authority = read_authority(trusted, key)
+        yield Ledger(folder, authority)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import stat
 from pathlib import Path
@@ -145,6 +146,18 @@ def test_a_list_of_no_bytes_was_cut_short(ledger: Ledger, holder) -> None:
     (ledger.folder / "revoked.crl").write_bytes(b"")
     with pytest.raises(KeysError, match="is empty"), opened(ledger.folder):
         pass
+
+
+@pytest.mark.parametrize("part", [0, 0.5])
+def test_a_file_of_an_authority_that_was_cut_short_is_named(ledger: Ledger, part: float) -> None:
+    ledger.make("host", "alpha", (), AT, AT + DAY)
+    for path in (*ledger.folder.glob("issued/*"), *ledger.folder.glob("*.*")):
+        named = path if part == 0 or path.stem != "authority" else ledger.folder
+        whole = path.read_bytes()
+        path.write_bytes(whole[: int(part * len(whole))])
+        with pytest.raises(KeysError, match=re.escape(f"{named}")), opened(ledger.folder) as again:
+            again.rows(AT)
+        path.write_bytes(whole)
 
 
 def test_an_authority_that_has_lost_its_list_begins_none_anew(ledger: Ledger) -> None:

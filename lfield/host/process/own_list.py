@@ -13,7 +13,7 @@ from pathlib import Path
 from lfield.authority import folder
 from lfield.authority.admission import Judged
 from lfield.authority.judge import NOBODY, Revoked
-from lfield.authority.keys import Keys
+from lfield.authority.keys import REVOKED, Keys
 from lfield.errors import OutputFileError
 from lfield.loop import spawn
 
@@ -29,10 +29,13 @@ def newest_list(keys: Keys, folders: Sequence[Path]) -> tuple[Revoked, bytes]:
     # Large, and loaded before anything moves: a list may come in flight, and nothing must stand still for it.
     from lfield.authority.reading import revoked_in
 
-    lists = [keys.revoked, *(folder.read_list(place) for place in folders)]
-    if not any(lists):
+    read = [(revoked_in(keys.revoked, keys.authority), keys.revoked)] if keys.revoked else []
+    for place in folders:
+        if data := folder.read_list(place):
+            with folder.of(place / REVOKED):
+                read.append((revoked_in(data, keys.authority), data))
+    if not read:
         return NOBODY, b""
-    read = [(revoked_in(data, keys.authority), data) for data in lists if data]
     newest, data = max(read, key=lambda found: found[0].number)
     return reduce(Revoked.united, (found for found, _ in read), newest), data
 

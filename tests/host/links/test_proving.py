@@ -105,6 +105,16 @@ def test_where_the_keys_are_of_a_service_a_list_is_kept_elsewhere(ring, tmp_path
     assert folder.read_list(kept) == admission.list
 
 
+@pytest.mark.parametrize("length", [0, 100])
+def test_a_list_that_was_kept_and_is_damaged_is_named(ring, tmp_path, length):
+    kept = tmp_path / "kept"
+    folder.write_list(kept, ring.listed(5, "fe"))
+    path = kept / "revoked.crl"
+    path.write_bytes(path.read_bytes()[:length])
+    with pytest.raises(KeysError, match=f"{path}.* copy it again"):
+        judged(Proof(ring.made("host", "alpha"), (kept,)))
+
+
 def test_a_list_that_cannot_be_kept_is_told_and_tried_again(ring, tmp_path, monkeypatch):
     """Whom it revokes this host would let in after a restart."""
     monkeypatch.setattr(own_list, "AGAIN", 0.001)
