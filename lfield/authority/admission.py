@@ -23,21 +23,38 @@ if TYPE_CHECKING:
     from lfield.wire.messages import Hello
 
 
+#: So many certificates of a list are named in a line.
+_NAMED = 8
+
+
 class Admission:
     """Nobody is judged."""
 
     #: The own revocation list as it travels, and its number; empty and 0 where there is none.
     list, number = b"", 0
+    #: Why the own list may be lost with this process, and what that means, in a sentence; '' when it is kept.
+    unkept = ""
 
     def __init__(self) -> None:
         #: Whether the mission of this host goes on; and what keeps a new list for its next life.
         self.flies: Callable[[], bool] = lambda: False
         self.keep: Callable[[bytes], None] = lambda data: None
+        #: Where lines for the log go.
+        self.note: Callable[[str], None] = lambda line: None
         #: What the mission takes of somebody's rights, and by which rule, in a sentence.
         self.barred: Callable[[Identity], Mapping[Right, str]] = lambda who: {}
 
+    def serve(
+        self,
+        flies: Callable[[], bool],
+        barred: Callable[[Identity], Mapping[Right, str]],
+        note: Callable[[str], None],
+    ) -> None:
+        """Whom it is asked for."""
+        self.flies, self.barred, self.note = flies, barred, note
+
     def verdict(self, who: Identity, *, linked: bool = False, expected: str = "") -> Verdict:
-        """What somebody is good for now; `linked`: by a link that stands. `expected` is who was called."""
+        """What somebody is good for now; `linked`: by a link of a host. `expected` is who was called."""
         return ALL_IS_WELL
 
     def signed(self, hello: Hello) -> Hello:
@@ -47,9 +64,12 @@ class Admission:
     def greeted(self, who: Identity, hello: Hello) -> None:
         """Somebody was let in, and says so."""
 
-    def newer(self, data: bytes) -> bool:
-        """Take a revocation list; whether it is newer than the own one. Raises KeysError for a bad one."""
-        return False
+    def news(self, data: bytes) -> str:
+        """Take a revocation list: what to tell of it, in a line; '' when nothing in it is new.
+
+        Raises KeysError for a bad one.
+        """
+        return ""
 
     def line(self) -> str:
         """What to tell of the time, once: '' when this computer's clock is believed."""
@@ -73,8 +93,8 @@ class Judged(Admission):
         super().__init__()
         self._authority, self.own, self.time = keys.authority, own, time
         self.revoked, self.list, self.number = revoked, data, revoked.number
-        #: The certificates of those who have greeted in this mission, by number.
-        self._greeted: set[str] = set()
+        #: Those who have greeted in this mission, by the numbers of their certificates.
+        self._greeted: dict[str, str] = {}
         time.proven(own.begins, f"the certificate of {own}")
         time.proven(revoked.at, f"revocation list {revoked.number}")
 
@@ -104,21 +124,52 @@ class Judged(Admission):
 
     def greeted(self, who: Identity, hello: Hello) -> None:
         self.time.told(hello.time, who)
-        self._greeted.add(who.serial)
+        self._greeted[who.serial] = str(who)
 
-    def newer(self, data: bytes) -> bool:
+    def news(self, data: bytes) -> str:
         if data == self.list:
-            return False
+            return ""
         # Large, and of no use to whoever has no keys.
         from lfield.authority.reading import revoked_in
 
-        read = revoked_in(data, self._authority)
-        if read.number <= self.number:
-            return False
-        self.revoked, self.list, self.number = read, data, read.number
-        self.time.proven(read.at, f"revocation list {read.number}")
-        self.keep(data)
-        return True
+        own, read = self.revoked, revoked_in(data, self._authority)
+        newer = read.number > own.number
+        if not newer and read.serials <= own.serials:
+            return ""
+        # Nothing that the authority has ever revoked is good again.
+        self.revoked = own.united(read)
+        if newer:
+            self.list, self.number = data, read.number
+            self.time.proven(read.at, f"revocation list {read.number}")
+            self.keep(data)
+        return f"revocation list {read.number} has come" + (_lost(own, read) if newer else _lost(read, own))
+
+    def kept(self, why: str) -> None:
+        """The own list is kept for the next life of this host, or `why` it is not."""
+        if why:
+            known = {self._greeted[serial] for serial in self.revoked.serials & self._greeted.keys()}
+            names = f" ({', '.join(sorted(known))})" if known else ""
+            why = (
+                f"revocation list {self.number} is not kept: {why}. After a restart this host would let in "
+                f"whom it revokes{names}: make room, or copy the list to its keys"
+            )
+        if why != self.unkept:
+            self.note(why or f"revocation list {self.number} is kept now")
+        self.unkept = why
 
     def line(self) -> str:
         return self.time.line()
+
+
+def _lost(older: Revoked, newest: Revoked) -> str:
+    """What a list does not revoke that another one does, and what to do; '' where there is nothing."""
+    lost = sorted(older.serials - newest.serials)
+    if not lost:
+        return ""
+    named, more = ", ".join(lost[:_NAMED]), f" and {len(lost) - _NAMED} more" if len(lost) > _NAMED else ""
+    other = "another one of that number" if older.number == newest.number else f"list {older.number}"
+    return (
+        f"; list {newest.number} does not revoke {named}{more}, which {other} does: an older copy of the "
+        f"authority was put back. This host believes none of these until it ends; revoke them again: 'lfield "
+        f"keys revoke serial {lost[0]}'"
+    )

@@ -17,8 +17,8 @@ from __future__ import annotations
 
 import errno
 import os
-from collections.abc import Mapping
-from contextlib import suppress
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from lfield.authority.keys import (
@@ -119,6 +119,15 @@ def read_secret(path: Path) -> bytes:
     return read_file(path, MAX_PEM, secret=True)
 
 
+@contextmanager
+def of(path: Path) -> Iterator[None]:
+    """Whatever is wrong meanwhile with what a file says, or those of a folder, names it: a KeysError."""
+    try:
+        yield
+    except KeysError as error:
+        raise KeysError(f"{path}: {error}") from None
+
+
 def write(folder: Path, keys: Keys) -> None:
     """Write them, each file whole or not at all; the folder is made if there is none. Raises OutputFileError.
 
@@ -152,13 +161,19 @@ def read_file(path: Path, most: int, *, secret: bool = False, needed: bool = Tru
     Also when others may read what is `secret`; what is not `needed` and not there is empty.
     """
     try:
-        return read_private(Path(os.path.realpath(path.parent), path.name), most, _owners(), secret=secret)
+        data = read_private(Path(os.path.realpath(path.parent), path.name), most, _owners(), secret=secret)
     except FileNotFoundError:
         if not needed:
             return b""
         raise KeysError(f"{path} is not there: copy the folder again from where its authority is") from None
     except OSError as error:
         raise KeysError(f"{path} cannot be used: {_reason(error)}") from None
+    if not data:
+        # For a list it would mean that nobody is revoked.
+        raise KeysError(
+            f"{path} is empty: it was cut short when it was copied; copy it again from where its authority is"
+        )
+    return data
 
 
 def _owners() -> tuple[int, int]:

@@ -11,15 +11,16 @@ yes to finish only. `at` is always the believed time (`believed.py`).
     | revoked, of a host      | no                    | to finish, on a link that stands |
     | revoked, of a person    | no                    | no                               |
 
-A revoked key may be in wrong hands, so nobody dials anew with one; a link that stands was made before. A host
-that is cut off cannot know of a revocation.
+A revoked key may be in wrong hands, so nobody dials anew with one; a link that stands was made before. That
+is the host's own link: one on which its key only looks, or stops, carries nothing home. A host that is cut
+off cannot know of a revocation.
 """
 
 from __future__ import annotations
 
 import datetime
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 from lfield.authority.identity import NONE, Identity, Right, in_order
@@ -27,7 +28,7 @@ from lfield.authority.identity import NONE, Identity, Right, in_order
 #: For `SSLContext.verify_flags`: OpenSSL's X509_V_FLAG_NO_CHECK_TIME, which the ssl module has no name for.
 NO_CHECK_TIME = 0x200000
 
-#: How a peer is known here: not at all, greeted in this mission before, or by a link that stands.
+#: How a peer is known here: not at all, greeted in this mission before, or by a host's link that stands.
 Known = Literal["new", "greeted", "linked"]
 
 #: What is left to people while there is only something to finish.
@@ -41,6 +42,11 @@ class Revoked:
     number: int = 0
     serials: frozenset[str] = frozenset()
     at: float = 0.0
+
+    def united(self, other: Revoked) -> Revoked:
+        """The list of the higher number, with what either of them revokes."""
+        newest = other if other.number > self.number else self
+        return replace(newest, serials=self.serials | other.serials)
 
     def __str__(self) -> str:
         count = len(self.serials)

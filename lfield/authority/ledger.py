@@ -14,12 +14,13 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Literal, NamedTuple
 
 from lfield.authority import folder as folders
 from lfield.authority.believed import NOTABLE
-from lfield.authority.identity import Identity, Right, with_brought
+from lfield.authority.identity import STRANGER, Identity, Right, with_brought
 from lfield.authority.judge import Revoked, when
 from lfield.authority.keys import AUTHORITY, MAX_PEM, REVOKED, Holder, Keys
 from lfield.authority.making import Authority, new_authority, read_authority
@@ -31,7 +32,9 @@ from lfield.text.private import private_locked, write_private
 KEY, ISSUED = "authority.key", "issued"
 _FOLDERS: dict[Holder, str] = {"host": "hosts", "person": "people"}
 _NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9._-]*|\[[0-9A-Fa-f:.]+\]", re.ASCII)
-_SERIAL = re.compile(r"[1-9a-f][0-9a-f]{3,}", re.ASCII)
+_SERIAL = re.compile(r"[1-9a-f][0-9a-f]{3,39}", re.ASCII)
+#: One of so many digits is whole: numbers are drawn from 159 bits.
+_WHOLE = 37
 
 
 class Row(NamedTuple):
@@ -59,7 +62,8 @@ class Ledger:
                 f"{folder / REVOKED} is not there: put a copy of it there, of the keys of any host; a list "
                 "that begins anew would be taken for an older one"
             )
-        self.revoked = revoked_in(self._list, authority.certificate)
+        with folders.of(folder / REVOKED):
+            self.revoked = revoked_in(self._list, authority.certificate)
 
     def rows(self, at: float) -> list[Row]:
         """Everything that was made, by kind and name, the oldest first. Raises KeysError."""
@@ -113,10 +117,16 @@ class Ledger:
         return self._revoke(found, at)
 
     def revoke_serial(self, serial: str, at: float) -> list[Identity]:
-        """Put one certificate on the list, by the first digits of its number. Raises KeysError."""
+        """Put one certificate on the list, by the first digits of its number. Raises KeysError.
+
+        By the whole number also one that is not known here: an authority that was put back from a copy knows
+        nothing of what was made after it.
+        """
         if _SERIAL.fullmatch(serial) is None:
             raise KeysError(f"{serial!r} is no number of a certificate: see 'lfield keys list'")
         found = [who for who in self._issued() if who.serial.startswith(serial)]
+        if not found and len(serial) >= _WHOLE:
+            found = [replace(STRANGER, serial=serial)]
         if len(found) != 1:
             raise KeysError(f"{len(found) or 'no'} certificates have a number that begins with {serial}")
         if found[0].serial in self.revoked.serials:
@@ -126,7 +136,9 @@ class Ledger:
     def _revoke(self, found: list[Identity], at: float) -> list[Identity]:
         self._see_time(at)
         serials = self.revoked.serials.union(who.serial for who in found)
-        self.revoked = Revoked(self.revoked.number + 1, serials, at)
+        # Also where a copy of the folder was put back, whose number is one that the hosts have had.
+        number = max(self.revoked.number + 1, int(at))
+        self.revoked = Revoked(number, serials, at)
         self._list = self.authority.revocation_list(self.revoked)
         folders.write_list(self.folder, self._list)
         for folder in self._key_folders():
@@ -172,7 +184,10 @@ class Ledger:
 
     def _issued(self) -> Iterator[Identity]:
         for path in sorted((self.folder / ISSUED).glob("*.pem")):
-            yield identity_in(self._certificate(path.stem), self.authority.certificate)
+            certificate = self._certificate(path.stem)
+            with folders.of(path):
+                who = identity_in(certificate, self.authority.certificate)
+            yield who
 
     def _certificate(self, serial: str) -> bytes:
         try:
@@ -204,4 +219,7 @@ def opened(folder: Path) -> Iterator[Ledger]:
     if not (folder / AUTHORITY).exists():
         raise KeysError(f"{folder} has no authority: 'lfield keys init' makes one, --authority names another")
     with private_locked(folder):
-        yield Ledger(folder, read_authority(folders.read_trusted(folder), folders.read_secret(folder / KEY)))
+        trusted, key = folders.read_trusted(folder), folders.read_secret(folder / KEY)
+        with folders.of(folder):
+            authority = read_authority(trusted, key)
+        yield Ledger(folder, authority)

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import argparse
 import shlex
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from lfield.errors import NothingRuns, UsageError
+from lfield.text.suggest import listed
 
 if TYPE_CHECKING:
     from lfield.operator.addressed import Party
@@ -81,3 +83,18 @@ def meant_parties(args: argparse.Namespace, runs: list[Run]) -> list[Party]:
     if args.run and runs[0].note.deployment != team.deployment.hex():
         raise UsageError(f"{runs[0].id} is no run of {path}")
     return parties_of_team(team, runs, args.map)
+
+
+def meant_party(args: argparse.Namespace) -> Party:
+    """The one team that was named, or that runs here; on stderr, which other users say they run.
+
+    Raises UsageError, NothingRuns.
+    """
+    from lfield.operator.addressed import only_party
+
+    parties = meant_parties(args, meant_runs(args))
+    party = only_party(parties)
+    beside = [other.id for other in parties if other.user and other is not party]
+    if beside:
+        print(f"lfield: not asked is what other users run: --run names {listed(beside)}", file=sys.stderr)
+    return party

@@ -88,9 +88,7 @@ class Host:
         self, mission: Mission, name: str, transport: Transport, logbook: Logbook, options: Options
     ) -> None:
         self.mission, self.name, self.options = mission, name, options
-        self.team = mission.team
-        self.logbook = logbook
-        self.clock = options.clock
+        self.team, self.logbook, self.clock = mission.team, logbook, options.clock
         self.started = self.clock.monotonic()
         self.teller = Teller(self.clock)
         here = self.team.number(name)
@@ -143,7 +141,7 @@ class Host:
         # Of a host that has no memory left; until then it is address space only.
         self._reserve = mmap(-1, RESERVE)
         self._entered = self._stopped = False
-        options.admission.flies, options.admission.barred = self.flies, mission.access.barred
+        options.admission.serve(self.flies, mission.access.barred, self.note)
 
     @property
     def machine(self) -> Machine:
@@ -188,7 +186,7 @@ class Host:
             if door:
                 await self.peers.open_door(door)
         except AddressError as error:
-            self.note(f"ps, query and estop need --map to find this host: {error}")
+            self.note(f"commands find this host over the network only, with a person's keys: {error}")
 
     async def stop(self) -> dict[str, str]:
         """Make the devices safe, stay until they are at rest, then close everything.
@@ -396,4 +394,5 @@ class Host:
     def status(self) -> Status:
         """What `lfield ps` shows of this host."""
         up, journal = self.clock.monotonic() - self.started, self.scribe.journal
-        return status_of(self.core, self.peers, self.guards, journal, self.address, up, self.clock)
+        unkept = self.options.admission.unkept
+        return status_of(self.core, self.peers, self.guards, journal, self.address, up, self.clock, unkept)

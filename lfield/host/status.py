@@ -53,6 +53,7 @@ def status_of(
     address: str,
     up: float,
     clock: Clock,
+    unkept: str,
 ) -> Status:
     """The status of a host that has been `up` for so many seconds, to the millisecond."""
     now = clock.monotonic()
@@ -86,6 +87,7 @@ def status_of(
         ],
         bundle=_bundle(core.mission.release),
         stopped=clip(core.coordinators.stopped),
+        unkept=clip(unkept),
     )
 
 

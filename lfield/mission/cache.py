@@ -7,6 +7,7 @@ while all it was made of is unchanged, and its digests are checked before it is 
 
 from __future__ import annotations
 
+import fcntl
 import hashlib
 import os
 import shutil
@@ -26,14 +27,14 @@ from lfield.errors import BundleError, InputFileError, OutputFileError
 from lfield.mission import bundle
 from lfield.mission.inputs import Inputs
 from lfield.text.files import read_within
-from lfield.text.private import private_folder
+from lfield.text.private import private_folder, private_locked, private_opened
 
 #: So many bundles are kept, the last that were made.
 KEPT = 64
 #: A larger record is none.
 _MAX_RECORD = 4 << 20
-#: What the folders of builds under way are called, and after how many seconds nobody is at work there.
-_WORKSHOP, _ABANDONED = "building-", 86400.0
+#: What the folders of builds under way are called, and after how many seconds they are locked for certain.
+_WORKSHOP, _LOCKED_BY = "building-", 60.0
 
 
 class NotBuilt(Exception):
@@ -87,15 +88,11 @@ def prepared(order: Order) -> Iterator[Path]:
     Raises NotBuilt when its files have mistakes, which have been told then.
     """
     folder = cache_folder()
-    found = _kept(folder, order) if folder is not None else None
-    if found is not None:
-        yield found
-        return
-    with tempfile.TemporaryDirectory(prefix=_WORKSHOP, dir=folder) as workshop:
-        made = _build(order, Path(workshop))
-        yield made if folder is None else _keep(folder, order, Path(workshop))
     if folder is not None:
-        _prune(folder)
+        yield _kept(folder, order) or _made(folder, order)
+        return
+    with tempfile.TemporaryDirectory(prefix=_WORKSHOP) as workshop:
+        yield _build(order, Path(workshop))
 
 
 def cache_folder() -> Path | None:
@@ -118,6 +115,18 @@ def _kept(folder: Path, order: Order) -> Path | None:
     except (OSError, ValueError, msgspec.DecodeError, BundleError, InputFileError):
         return None
     return path if sound else None
+
+
+def _made(folder: Path, order: Order) -> Path:
+    """Build in the cache, and leave nothing else there: whoever runs the bundle may be killed."""
+    with (
+        tempfile.TemporaryDirectory(prefix=_WORKSHOP, dir=folder) as workshop,
+        private_locked(Path(workshop)),
+    ):
+        _build(order, Path(workshop))
+        place = _keep(folder, order, Path(workshop))
+    _prune(folder)
+    return place
 
 
 def _build(order: Order, workshop: Path) -> Path:
@@ -150,8 +159,11 @@ def _prune(folder: Path) -> None:
     """Forget what was made longest ago, and what a build that was killed has left."""
     for workshop in folder.glob(f"{_WORKSHOP}*"):
         with suppress(OSError):
-            if time.time() - workshop.stat().st_mtime > _ABANDONED:
-                shutil.rmtree(workshop)
+            if time.time() - workshop.stat().st_mtime > _LOCKED_BY:
+                # The lock of a process that is no more has gone with it.
+                with private_opened(workshop) as opened:
+                    fcntl.flock(opened, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                    shutil.rmtree(workshop)
     for pattern in (f"*{bundle.SUFFIX}", "*.made"):
         with suppress(OSError):
             oldest = sorted(folder.glob(pattern), key=lambda path: path.stat().st_mtime)[:-KEPT]

@@ -24,11 +24,12 @@ if TYPE_CHECKING:
 class Greeting:
     """The greeting of one link, seen from one side.
 
-    `own` is the Hello this side sends, `who` is at the other end, and `verdict` what that one is good for
-    now. `hosts` are the names of the deployment, `linked` the hosts that have a live link here, by name, with
-    their incarnations. Both are of the same moment: what an earlier life of the peer may yet send on its link
-    is not in `own`, so that link must be gone. `dialled` is the name of the host this side called; None on
-    the side that was called. An observer (`own.role`) knows no deployment: it passes no hosts and takes any.
+    `own` is the Hello of this side, `who` is at the other end, and `verdict` what that one is good for now:
+    whoever judges the link again puts the new one there. `hosts` are the names of the deployment, `linked`
+    the hosts that have a live link here, by name, with their incarnations. Both are of the moment of `own`:
+    what an earlier life of the peer may yet send on its link is not in `own`, so that link must be gone.
+    `dialled` is the name of the host this side called; None on the side that was called. An observer
+    (`own.role`) knows no deployment: it passes no hosts and takes any.
 
     Send what `begin` gives, feed every message to `receive` until `peer` is set, each later one to `admit`.
     When one raises, send `refusal`, if there is one, and let the error close the link.
@@ -44,7 +45,7 @@ class Greeting:
         linked: Mapping[str, int] | None = None,
         dialled: str | None = None,
     ) -> None:
-        self.own, self.who, self._verdict = own, who, verdict
+        self.own, self.who, self.verdict = own, who, verdict
         self.peer: Hello | None = None
         self.refusal: Refuse | None = None
         self._hosts, self._dialled = hosts, dialled
@@ -62,9 +63,9 @@ class Greeting:
                 if self.own.role == "observer"
                 else f"{who} may nothing here: join the group 'lfield', which may look and stop, or use sudo"
             )
-        if self._verdict.extent == "nothing":
-            self._refuse(self._verdict.why)
-        return self.own
+        if self.verdict.extent == "nothing":
+            self._refuse(self.verdict.why)
+        return self.own if who.kind == "host" else self.own.brief
 
     def receive(self, message: Message) -> Hello:
         """The peer's Hello, if it fits. Raises GreetingError, and WireError for anything but a greeting."""
@@ -97,7 +98,7 @@ class Greeting:
             raise WireError("a second greeting came on one link")
         if self.peer is None:
             raise WireError(f"a {type(message).__name__} came before the greeting")
-        if self.peer.role == "observer" and (why := lacks(self.who, self._verdict, message)):
+        if self.peer.role == "observer" and (why := lacks(self.who, self.verdict, message)):
             self.refusal = Refuse(why)
             raise GreetingError(why)
 
@@ -149,10 +150,7 @@ class Greeting:
             ("access rules", self.own.access, hello.access, "the same .access.yaml file"),
         )
         for what, ours, theirs, remedy in pairs:
-            anything_goes = (not ours and self.own.role == "observer") or (
-                not theirs and hello.role == "observer"
-            )
-            if ours != theirs and not anything_goes:
+            if ours != theirs and "observer" not in (self.own.role, hello.role):
                 self._refuse(
                     f"{self.own.host} has {what} {ours.hex()[:12] or '(none)'} and {hello.host} has {what} "
                     f"{theirs.hex()[:12] or '(none)'}; start both from {remedy}, or from one bundle"

@@ -313,22 +313,23 @@ class Peers:
         return False
 
     def judge(self) -> None:
-        """End the links of whoever is not to have one any more."""
-        for session in [*self._links.values(), *self._observers]:
-            verdict = self._admission.verdict(session.link.who, linked=True)
-            if verdict.why:
-                self.complain(verdict.why)
-            if verdict.extent == "nothing":
-                session.dismiss(verdict.why)
+        """End the links of whoever is not to have one any more, and leave others what they still may.
+
+        What a revoked host may finish it does as a host: the link on which it only looks is none that stands.
+        """
+        links, others = self._links.values(), (*self._observers, *self._ungreeted, *self._dialling.values())
+        for session in dict.fromkeys((*links, *others)):
+            if session.connected:
+                session.judged(self._admission.verdict(session.link.who, linked=session in links))
 
     def _take_list(self, data: bytes) -> None:
         """A revocation list has come: pass on one that is new to all, and to its end whom it is about."""
         try:
-            newer = self._admission.newer(data)
+            line = self._admission.news(data)
         except KeysError as error:
             raise WireError(str(error)) from None
-        if newer:
-            self._owner.note(f"revocation list {self._admission.number} has come")
+        if line:
+            self._owner.note(line)
             for host in self._links:
                 self.send(host, Revocations(data))
             self.judge()

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from lfield.authority.identity import Identity
+    from lfield.authority.judge import Verdict
     from lfield.net.greeting import Greeting
     from lfield.net.transport import Link
 
@@ -181,6 +182,14 @@ class Session:
             self._complain(error.reason if isinstance(error, AddressError) else str(error))
         self._peers.gone(self)
         self.over.set()
+
+    def judged(self, verdict: Verdict) -> None:
+        """The other is good for this now: for no link, or for less on this one than when it was made."""
+        self._greeting.verdict = verdict
+        if verdict.why:
+            self._peers.complain(verdict.why)
+        if verdict.extent == "nothing":
+            self.dismiss(verdict.why)
 
     def dismiss(self, reason: str) -> None:
         """Tell the other why its link ends, and end it."""

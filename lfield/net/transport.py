@@ -9,6 +9,7 @@ All calls and callbacks happen on one thread. Callbacks never happen inside `sen
 
 from __future__ import annotations
 
+from ipaddress import ip_address
 from typing import TYPE_CHECKING, Protocol
 
 from lfield.errors import AddressError
@@ -125,3 +126,12 @@ def split_address(address: str) -> tuple[str, int]:
 def join_address(host: str, port: int) -> str:
     """The inverse of `split_address`."""
     return f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
+
+
+def is_number(address: str) -> bool:
+    """Whether it is one of an interface, and no name that has to be looked up."""
+    try:
+        ip_address(split_address(address)[0])
+    except (AddressError, ValueError):
+        return False
+    return True

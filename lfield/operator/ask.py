@@ -5,7 +5,8 @@ from __future__ import annotations
 import asyncio
 import os
 import sys
-from collections.abc import Hashable, Iterable, Mapping, Sequence
+from collections import Counter, defaultdict
+from collections.abc import Hashable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Generic, NamedTuple, TypeVar
@@ -15,7 +16,7 @@ from lfield.errors import AddressError, GreetingError, KeysError, LfieldError, N
 from lfield.net.greeting import Greeting
 from lfield.net.stream import UNIX
 from lfield.net.tcp import TcpTransport
-from lfield.net.transport import Link, Transport
+from lfield.net.transport import Link, Transport, is_number
 from lfield.operator.addressed import Party, Place
 from lfield.text.visible import in_one_line
 from lfield.wire.coordinators import Transfer
@@ -44,6 +45,10 @@ Answers = Mapping[str, T | LfieldError]
 
 #: Seconds before something is asked again.
 AGAIN_AFTER = 0.1
+
+#: So many hosts are asked at a time, and so many that are in runs of other users: a process may have 1024
+#: descriptors. Of one such run so many hosts that did not answer get a line each.
+AT_ONCE, BESIDE, MOST_LINES = 512, 128, 8
 
 #: An observer is sent no coordinators; this is the largest block it would read, in bytes.
 _MAX_BLOCK = 1 << 20
@@ -102,18 +107,32 @@ def ask_parties(
     parties: Sequence[Party], request: Request[T], keys: Path | None = None
 ) -> dict[Place, T | LfieldError]:
     """What all hosts of some parties answer, in their order. `keys` is where those of this user should be."""
-    places = {place: address for party in parties for place, address in party.places.items()}
     answers: dict[Place, T | LfieldError] = {}
+    for some in asked_in_turn(parties, request, keys):
+        answers |= some
+    return {place: answers[place] for party in parties for place in party.places}
+
+
+def asked_in_turn(
+    parties: Sequence[Party], request: Request[T], keys: Path | None = None
+) -> Iterator[dict[Place, T | LfieldError]]:
+    """The same as it comes: first what is believed, then what hosts of other users' runs have said."""
+    places = {place: address for party in parties for place, address in party.places.items()}
+    failed: dict[Place, LfieldError] = {}
     try:
         own = own_keys(places.values(), keys)
         transport, brings = observer(own), brought(own)
     except KeysError as error:
         # Whoever is on this computer must hear it all the same: it may be a stop.
         transport, brings = observer(), None
-        answers = {place: error for place, address in places.items() if not address.startswith(UNIX)}
-    asked = {place: address for place, address in places.items() if place not in answers}
-    answers |= asyncio.run(ask_all(transport, asked, request, brings))
-    return {place: answers[place] for place in places}
+        failed = {place: error for place, address in places.items() if not address.startswith(UNIX)}
+    asked = {place: address for place, address in places.items() if place not in failed}
+    with asyncio.Runner() as runner:
+        asking = runner.run(_begun(transport, asked, request, brings))
+        answers = failed | runner.run(asking.believed())
+        yield {place: answers[place] for place in places if not place.user}
+        answers |= runner.run(asking.others())
+        yield {place: answers[place] for place in places if place.user}
 
 
 def by_host(answers: Mapping[Place, T | LfieldError], party: Party) -> Answers[T]:
@@ -129,6 +148,22 @@ def reached(answer: T | LfieldError) -> bool:
 def silent(answers: Answers[T]) -> dict[str, LfieldError]:
     """The hosts that did not answer, with the reasons."""
     return {host: answer for host, answer in answers.items() if isinstance(answer, LfieldError)}
+
+
+def heard(answers: Answers[T]) -> dict[str, T]:
+    """Those that did, with what they said."""
+    return {host: answer for host, answer in answers.items() if not isinstance(answer, LfieldError)}
+
+
+def unheard(answers: Mapping[Place, T | LfieldError], names: Mapping[Place, str]) -> dict[str, LfieldError]:
+    """The same by what hosts are called. Of many that another user's run claims there is one line."""
+    found = {place: answer for place, answer in answers.items() if isinstance(answer, LfieldError)}
+    counts = Counter(place.run for place in found if place.user)
+    told: dict[str, LfieldError] = {}
+    for place, why in found.items():
+        count = counts[place.run] if place.user else 0
+        told.setdefault(f"{count} hosts of {place.run}" if count > MOST_LINES else names[place], why)
+    return told
 
 
 def tell_silent(hosts: Mapping[str, LfieldError], meaning: str = "") -> None:
@@ -174,17 +209,83 @@ def brought(keys: Keys | None) -> Brought | None:
 async def ask_all(
     transport: Transport, addresses: Mapping[K, str], request: Request[T], brings: Brought | None = None
 ) -> dict[K, T | LfieldError]:
-    """The answer of every host by its key, all asked at once; `brings` a revocation list to them."""
+    """The answer of every host by its key; `brings` a revocation list to them.
 
-    async def one(key: K, address: str) -> T | LfieldError:
+    Those of other users' runs have no more time all together than one host has.
+    """
+    asking = await _begun(transport, addresses, request, brings)
+    answers = await asking.believed() | await asking.others()
+    return {key: answers[key] for key in addresses}
+
+
+async def _begun(
+    transport: Transport, addresses: Mapping[K, str], request: Request[T], brings: Brought | None
+) -> _AskingAll[K, T]:
+    return _AskingAll(transport, addresses, request, brings)
+
+
+class _AskingAll(Generic[K, T]):
+    """Hosts that are being asked, in the running loop: many at once, and those of each other user beside."""
+
+    def __init__(
+        self, transport: Transport, addresses: Mapping[K, str], request: Request[T], brings: Brought | None
+    ) -> None:
+        self._transport, self._addresses = transport, addresses
+        self._request, self._brings = request, brings
+        self._answers: dict[K, T | LfieldError] = {}
+        loop = asyncio.get_running_loop()
+        self._end = loop.time() + request.bound
+        users: dict[str, list[K]] = defaultdict(list)
+        for key in addresses:
+            users[_user(key)].append(key)
+        # First, so that their links are there before others can take descriptors.
+        self._believed = loop.create_task(self._each(users.pop("", []), AT_ONCE))
+        share = max(1, BESIDE // max(1, len(users)))
+        self._others = [loop.create_task(self._each(keys, share)) for keys in users.values()]
+
+    async def _each(self, keys: Sequence[K], most: int) -> None:
+        """Ask so many at a time, in their order."""
+        left = iter(keys)
+
+        async def some() -> None:
+            for key in left:
+                self._answers[key] = await self._one(key)
+
+        await asyncio.gather(*(some() for _ in range(min(most, len(keys)))))
+
+    async def _one(self, key: K) -> T | LfieldError:
         host = key.host if isinstance(key, Place) else str(key)
+        address = self._addresses[key]
+        if _user(key) and not (address.startswith(UNIX) or is_number(address)):
+            # Looking up names takes threads, and as long as whoever owns the name likes.
+            return AddressError(address, "another user's run names it: name that with --run to ask there")
         try:
-            return await _persistently(transport, address, request, host, brings)
+            return await _persistently(self._transport, address, self._request, host, self._brings)
         except LfieldError as error:
             return error
 
-    answers = await asyncio.gather(*(one(*place) for place in addresses.items()))
-    return dict(zip(addresses, answers, strict=True))
+    async def believed(self) -> dict[K, T | LfieldError]:
+        """The answers of all that are there on nobody else's word."""
+        await self._believed
+        return {key: self._answers[key] for key in self._addresses if not _user(key)}
+
+    async def others(self) -> dict[K, T | LfieldError]:
+        """Those of all others, and an error for each that has not answered until now or the end."""
+        if self._others:
+            left = self._end - asyncio.get_running_loop().time()
+            _, late = await asyncio.wait(self._others, timeout=max(0.0, left))
+            for task in late:
+                task.cancel()
+            await asyncio.gather(*self._others, return_exceptions=True)
+        return {key: self._answers.get(key, self._late(key)) for key in self._addresses if _user(key)}
+
+    def _late(self, key: K) -> LfieldError:
+        why = f"the runs of other users have not all answered within {self._request.bound:g} s"
+        return AddressError(self._addresses[key], why)
+
+
+def _user(key: Hashable) -> str:
+    return key.user if isinstance(key, Place) else ""
 
 
 async def _persistently(
@@ -215,9 +316,9 @@ async def ask(
 
     Raises AddressError, GreetingError, WireError, KeysError.
     """
-    asking = _Asking(request, host, brings)
-    link = await transport.connect(address, asking)
+    asking, link = _Asking(request, host, brings), None
     try:
+        link = await transport.connect(address, asking)
         if link.who.kind == "stranger":
             raise KeysError(
                 f"the host at {address} takes commands from those alone who have keys: 'lfield keys person' "
@@ -229,8 +330,10 @@ async def ask(
     except TimeoutError:
         raise AddressError(address, f"no answer within {request.bound:g} s") from None
     finally:
+        # Also of an answer that is an error: nobody is left to take it.
         asking.answer.cancel()
-        link.close()
+        if link is not None:
+            link.close()
 
 
 class _Asking(Generic[T]):

@@ -102,7 +102,7 @@ def _nothing_left(
 
 
 def _lines(place: Place, newest: Known, answers: _Answers, names: Mapping[Place, str]) -> list[str]:
-    to = Place(place.run, newest.where)
+    to = place._replace(host=newest.where)
     lines = [
         f"{newest.agent}, start {newest.generation}: the newest copy is on {names[place]}, as it left for "
         f"{newest.where} after {_hops(newest)} (transfer {newest.sequence})"

@@ -6,11 +6,13 @@
 
 The base is `/run/lfield` where a service manager has made that, then readable by its group; else `lfield` in
 the user's runtime folder, or one in the temporary folder. A run lives as long as a process of it holds the
-lock of its folder: a number of a process may be another's tomorrow, a lock goes with whoever held it. What is
-left of a run that was killed is tidied up by the next command of its user.
+lock of its note: a number of a process may be another's tomorrow, a lock goes with whoever held it. It is one
+for writing, and of an open file (F_OFD_SETLK): who may only read the note, as a group, cannot take it.
+What is left of a run that was killed is tidied up by the next command of its user.
 
 Who looks may have another environment than who started (sudo, su, cron): all folders are looked into that the
-user's runs can be in without anybody having named another, and root looks into those of all users.
+user's runs can be in without anybody having named another, and root looks into those of all users. What a
+note of another user says is that user's word: it may claim any host of any mission, so it is kept apart.
 """
 
 from __future__ import annotations
@@ -20,12 +22,14 @@ import os
 import pwd
 import re
 import secrets
+import struct
 import time
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 import msgspec
 from msgspec import Meta
@@ -42,7 +46,7 @@ from lfield.text.private import (
     write_private,
 )
 from lfield.text.suggest import listed
-from lfield.wire.fields import Label, Name
+from lfield.wire.fields import MAX_LABEL, Name
 
 #: Where the unit of deploy/ has its runs.
 SERVICE = Path("/run/lfield")
@@ -50,10 +54,14 @@ SERVICE = Path("/run/lfield")
 RUNTIMES, SHARED = Path("/run/user"), Path("/tmp")
 #: So long the path of a Unix socket may be, in bytes.
 _MAX_SOCKET = 107
-#: A larger note is none.
-_MAX_NOTE = 4 << 20
+#: A larger note is none; those of another user count as one, and so many of that user's files are looked at.
+_MAX_NOTE, _MOST_OF_OTHERS = 4 << 20, 256
+#: The most hosts that a team has.
+_MAX_HOSTS = 4096
 _NOTE = "note.json"
 _ID = re.compile(r"[\w.+-]{1,24}-[0-9a-f]{8}", re.ASCII)
+#: A lock of all of a file, as the kernel is asked for it: its kind, where it begins and ends, and whose.
+_LOCK = struct.Struct("hhqqi")
 #: A run that is being made; nobody takes so many seconds for it.
 _UNFINISHED, _UNFINISHED_FOR = re.compile(r"\.[0-9a-f]{16}"), 60.0
 
@@ -64,32 +72,46 @@ class Note(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     `mission` is the file it was started from and `deployment` the digest of its team, in hex; `started` is in
     seconds since 1970; of its devices none has longer than `rest_within` seconds to come to rest. `addresses`
     has the "address:port" of every host of the team, `doors` the name of the socket of those that run here.
+    Whose it is, its file says, and no socket is outside its folder.
     """
 
     mission: Annotated[str, Meta(max_length=4096)]
     deployment: Annotated[str, Meta(pattern="^[0-9a-f]{64}$")]
-    user: Annotated[str, Meta(max_length=256)]
     pid: Annotated[int, Meta(gt=0, lt=2**31)]
     started: Annotated[float, Meta(ge=0.0, le=1e11)]
     rest_within: Annotated[float, Meta(ge=0.0, le=1e6)]
-    addresses: Annotated[dict[Name, Label], Meta(max_length=4096)]
+    addresses: Annotated[
+        dict[Name, Annotated[str, Meta(max_length=MAX_LABEL, pattern=r"^(?!unix:|fd:)")]],
+        Meta(max_length=_MAX_HOSTS),
+    ]
     doors: Annotated[
         dict[Name, Annotated[str, Meta(pattern=r"^[A-Za-z0-9_+][A-Za-z0-9_.+-]{0,40}$")]],
-        Meta(max_length=4096),
+        Meta(max_length=_MAX_HOSTS),
     ]
 
 
 @dataclass(frozen=True, slots=True)
 class Run:
-    """A run that somebody has begun; `id` is the name of its folder."""
+    """A run that somebody has begun, in its folder, which belongs to the user `owner`.
+
+    It `is_foreign` where that is neither who looks, nor root, nor a service. Who looks may have `named` it.
+    """
 
     folder: Path
     note: Note
+    owner: str = ""
+    is_foreign: bool = False
+    named: bool = False
 
     @property
     def id(self) -> str:
-        """What it is called, here and by `--run`."""
-        return self.folder.name
+        """What it is called, here and by `--run`: as its folder. No user has the names of another."""
+        return f"{self.owner}/{self.folder.name}" if self.is_foreign else self.folder.name
+
+    @property
+    def user(self) -> str:
+        """The other user whose word it is that there is such a run; '' where it is believed, or was named."""
+        return self.owner if self.is_foreign and not self.named else ""
 
     def door(self, host: str) -> str:
         """The address of a host of the team for commands here, '' for one that this run does not run."""
@@ -104,7 +126,7 @@ class Run:
 class Doors:
     """Where the hosts of a run listen for commands, by name, and the open lock that keeps the run alive.
 
-    Processes that inherit `lock` keep it alive too. Both are empty where the run has no folder.
+    Processes that inherit `lock` keep it alive too. Both are empty where no command finds the run.
     """
 
     addresses: Mapping[str, str]
@@ -116,7 +138,6 @@ def begun(mission: Mission, file: Path, here: Iterable[str]) -> Note:
     return Note(
         mission=str(file.absolute()),
         deployment=mission.team.deployment.hex(),
-        user=_user_name(),
         pid=os.getpid(),
         started=time.time(),
         rest_within=longest_rest(mission.bindings.all),
@@ -126,15 +147,16 @@ def begun(mission: Mission, file: Path, here: Iterable[str]) -> Note:
 
 
 @contextmanager
-def running(note: Note, tell: Callable[[str], None]) -> Iterator[Doors]:
+def running(note: Note, unfound: Callable[[OutputFileError], None]) -> Iterator[Doors]:
     """Let commands on this computer find a run for the duration.
 
-    Where that cannot be, or others could change what is said of it, it goes on unfound; `tell` hears why.
+    Where that cannot be, or others could change what is said of it, `unfound` hears why: it goes on unfound,
+    unless that raises (see `refuse_unfound`).
     """
     try:
         run, lock = _begin(note)
     except OutputFileError as error:
-        tell(f"ps, query and estop need --map to find these hosts: {error}")
+        unfound(error)
         yield Doors({})
         return
     try:
@@ -142,6 +164,15 @@ def running(note: Note, tell: Callable[[str], None]) -> Iterator[Doors]:
     finally:
         _remove(run.folder)
         os.close(lock)
+
+
+def refuse_unfound(error: OutputFileError) -> None:
+    """For hosts that no other computer can reach either: nobody could stop them. Raises OutputFileError."""
+    raise OutputFileError(
+        error.path,
+        f"{error.reason}; no command could find what runs, to stop it: set XDG_RUNTIME_DIR to another folder "
+        "of your own, or remove what is in the way",
+    ) from None
 
 
 def _begin(note: Note) -> tuple[Run, int]:
@@ -154,18 +185,19 @@ def _begin(note: Note) -> tuple[Run, int]:
         if len(os.fsencode(run.door(door))) > len(UNIX) + _MAX_SOCKET:
             raise OutputFileError(run.door(door), "the path is too long for a socket; set XDG_RUNTIME_DIR")
     unfinished = base / f".{secrets.token_hex(8)}"
-    lock = new_private_folder(unfinished, 0o750 if for_group else 0o700)
+    os.close(new_private_folder(unfinished, 0o750 if for_group else 0o700))
+    lock = -1
     try:
-        fcntl.flock(lock, fcntl.LOCK_EX)
         write_private(unfinished / _NOTE, msgspec.json.encode(run.note), 0o640 if for_group else 0o600)
+        lock = os.open(unfinished / _NOTE, os.O_RDWR | os.O_NOFOLLOW)
+        fcntl.fcntl(lock, fcntl.F_OFD_SETLK, _LOCK.pack(fcntl.F_WRLCK, 0, 0, 0, 0))
         os.rename(unfinished, run.folder)
-    except OSError as error:
-        os.close(lock)
+    except (OSError, OutputFileError) as error:
+        if lock >= 0:
+            os.close(lock)
         _remove(unfinished)
-        raise OutputFileError(str(run.folder), error.strerror or str(error)) from None
-    except OutputFileError:
-        os.close(lock)
-        _remove(unfinished)
+        if isinstance(error, OSError):
+            raise OutputFileError(str(run.folder), error.strerror or str(error)) from None
         raise
     return run, lock
 
@@ -176,20 +208,20 @@ def _door_name(number: int, host: str) -> str:
     return f"{host}.sock" if fits else f"+{number}.sock"
 
 
-def _user_name() -> str:
+def _name_of(user: int) -> str:
     try:
-        return pwd.getpwuid(os.geteuid()).pw_name
+        return pwd.getpwuid(user).pw_name
     except KeyError:
-        return str(os.geteuid())
+        return str(user)
 
 
 # --- finding them -------------------------------------------------------------------------------------------
 
 
 def runs_here() -> list[Run]:
-    """All runs on this computer that live and that this user may see, the oldest first."""
-    found = [run for base, owners in _bases() for run in _runs_in(base, owners)]
-    return sorted(found, key=lambda run: (run.note.started, run.id))
+    """All runs on this computer that live and that this user may see, the oldest first; foreign ones last."""
+    found = [run for base in _bases() for run in _runs_in(base)]
+    return sorted(found, key=lambda run: (run.is_foreign, run.note.started, run.id))
 
 
 def unseen() -> str:
@@ -214,48 +246,56 @@ def nothing_here() -> str:
     )
 
 
-def _runs_in(base: Path, owners: Collection[int]) -> Iterator[Run]:
-    if os.geteuid() in owners:
-        _tidy(base)
-    for name in _names_in(base, owners):
-        folder = base / name
-        if _ID.fullmatch(name) and _is_locked(folder):
-            with suppress(OSError, msgspec.DecodeError, UnicodeDecodeError, RecursionError):
-                yield Run(
-                    folder, msgspec.json.decode(read_private(folder / _NOTE, _MAX_NOTE, owners), type=Note)
-                )
+def _runs_in(base: _Base) -> Iterator[Run]:
+    if os.geteuid() in base.owners:
+        _tidy(base.path)
+    left = _MAX_NOTE
+    for name in _names_in(base.path, base.owners, _MOST_OF_OTHERS if base.is_foreign else None):
+        folder = base.path / name
+        if not (_ID.fullmatch(name) and _is_locked(folder)):
+            continue
+        with suppress(OSError, msgspec.DecodeError, UnicodeDecodeError, RecursionError):
+            data = read_private(folder / _NOTE, left, base.owners)
+            left -= len(data) if base.is_foreign else 0
+            owner = _name_of(folder.lstat().st_uid)
+            yield Run(folder, msgspec.json.decode(data, type=Note), owner, base.is_foreign)
 
 
-def _names_in(base: Path, owners: Collection[int]) -> list[str]:
+def _names_in(base: Path, owners: Collection[int], most: int | None = None) -> list[str]:
     try:
-        with private_opened(base, owners) as folder:
-            return sorted(os.listdir(folder))
+        with private_opened(base, owners) as folder, os.scandir(folder) as found:
+            return sorted(entry.name for entry in islice(found, most))
     except OSError:
         return []
 
 
-def _is_locked(folder: Path) -> bool:
-    """Whether a process lives that belongs to the run with that folder."""
+def _is_locked(folder: Path, *, unsure: bool = False) -> bool:
+    """Whether a process lives that belongs to the run with that folder: one that may write its note.
+
+    `unsure` where that cannot be seen.
+    """
     try:
-        lock = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
-    except OSError:
+        # What is there may be a fifo, and not be opened before somebody writes.
+        note = os.open(folder / _NOTE, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
+    except FileNotFoundError:
         return False
+    except OSError:
+        return unsure
     try:
-        fcntl.flock(lock, fcntl.LOCK_SH | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return True
+        asked = _LOCK.pack(fcntl.F_RDLCK, 0, 0, 0, 0)
+        kind, *_ = _LOCK.unpack(fcntl.fcntl(note, fcntl.F_OFD_GETLK, asked))
+        return bool(kind != fcntl.F_UNLCK)
     except OSError:
-        return False
+        return unsure
     finally:
-        os.close(lock)
-    return False
+        os.close(note)
 
 
 def _tidy(base: Path) -> None:
     """Remove what is left in a folder of this user of runs that were killed."""
     for name in _names_in(base, ()):
         folder = base / name
-        if _is_abandoned(folder, name) and not _is_locked(folder):
+        if _is_abandoned(folder, name) and not _is_locked(folder, unsure=True):
             _remove(folder)
 
 
@@ -289,18 +329,25 @@ def _base() -> tuple[Path, bool]:
     return _own()[0], False
 
 
-def _bases() -> Iterator[tuple[Path, Collection[int]]]:
-    """Where runs can be, with the users who are believed there."""
+class _Base(NamedTuple):
+    """Where runs can be, and the users whose they can be there; `is_foreign` as of a run."""
+
+    path: Path
+    owners: Collection[int]
+    is_foreign: bool = False
+
+
+def _bases() -> Iterator[_Base]:
     service = _service() or SERVICE
     # Where only root may write, the service manager has made it: whoever it belongs to is the service.
     with suppress(OSError), private_opened(service.parent, (0, os.geteuid())):
-        yield service, {0, service.lstat().st_uid}
+        yield _Base(service, {0, service.lstat().st_uid})
     own = _of_user()
-    yield from ((base, {os.geteuid()}) for base in own if base != service)
+    yield from (_Base(base, {os.geteuid()}) for base in own if base != service)
     if _for_all():
         for base, owner in _of_others():
             if base not in (service, *own):
-                yield base, {0, owner}
+                yield _Base(base, {owner}, is_foreign=owner != os.geteuid())
 
 
 def _service() -> Path | None:

@@ -12,6 +12,7 @@ from __future__ import annotations
 import errno
 import fcntl
 import os
+import pwd
 import secrets
 import stat
 import tempfile
@@ -160,12 +161,18 @@ def _no_folder(path: Path, error: OSError) -> str:
 def _check(path: Path, found: os.stat_result, owners: Collection[int]) -> None:
     if found.st_uid not in owners:
         raise OutputFileError(
-            str(path), f"the folder belongs to another user (number {found.st_uid}); name one of your own"
+            str(path), f"the folder belongs to another user, {_named(found.st_uid)}; name one of your own"
         )
     if found.st_mode & _WRITABLE:
         raise OutputFileError(
             str(path), f"others may write to the folder: run 'chmod go-w {path}', or name another"
         )
+
+
+def _named(user: int) -> str:
+    with suppress(KeyError):
+        return f"{pwd.getpwuid(user).pw_name} (number {user})"
+    return f"number {user}"
 
 
 def _refuse_strange(path: Path, folder: int) -> None:

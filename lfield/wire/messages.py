@@ -58,7 +58,7 @@ class Hello(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
     `incarnation` is a random 63-bit number drawn at process start: the same host after a restart has
     another. `memory` is the identity of its journal, which outlives restarts; 0 for a host that keeps none.
     `program`, `deployment`, `registry` and `access` are 32-byte hashes of what all hosts of a team must have
-    alike; an observer (`lfield ps`) may leave them empty, a program that names no capability has no registry,
+    alike; an observer (`lfield ps`) leaves them empty, a program that names no capability has no registry,
     and a mission without an access file no rules.
     `devices` says what those of its team are, '' where it has none.
     `max_block` is the largest block this host takes, in bytes. `recovery` says in words who decides that a
@@ -86,6 +86,11 @@ class Hello(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
     time: Moment = 0.0
     revoked: Count = 0
     bundle: Hash = b""
+
+    @property
+    def brief(self) -> Hello:
+        """What whoever is no host hears of it: nothing of the mission, for that takes the right to ask."""
+        return Hello(self.role, self.host, self.incarnation, time=self.time, revoked=self.revoked)
 
     @property
     def remembers(self) -> int:

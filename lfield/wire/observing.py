@@ -150,7 +150,8 @@ class Status(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, t
     keeps nothing. `paused`: no agent runs here until the mission is resumed. For so many seconds yet its
     `lease` lets coordinators act, None where they need none. `begun` are the calls that were begun here and
     are still to be fetched, `reserved` the resources here that coordinators have reserved. `bundle` is None
-    for a mission that was read from files. `stopped` is why an emergency stop bars its devices, '' for none.
+    for a mission that was read from files. `stopped` is why an emergency stop bars its devices, '' for none,
+    and `unkept` what it could not keep of whom it believes, and forgets with its end.
     """
 
     host: Name
@@ -172,6 +173,7 @@ class Status(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, t
     reserved: Annotated[list[ReservedStatus], Meta(max_length=4096)] = []
     bundle: BundleStatus | None = None
     stopped: Text = ""
+    unkept: Text = ""
 
 
 class EmergencyStop(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=10):

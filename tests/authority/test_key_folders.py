@@ -3,17 +3,22 @@
 from __future__ import annotations
 
 import os
+import re
+import shutil
 import stat
 from pathlib import Path
 
 import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 
 from lfield.authority import folder as folders
-from lfield.authority.identity import Right
+from lfield.authority.identity import Identity, Right
 from lfield.authority.keys import Keys
 from lfield.authority.ledger import Ledger, begin, opened
 from lfield.authority.reading import checked, revoked_in
 from lfield.errors import KeysError, OutputFileError
+from lfield.operator.keys_health import health
 
 AT, DAY = 1795464000.0, 86400.0
 
@@ -103,6 +108,56 @@ def test_a_host_without_a_list_was_copied_by_halves(ledger: Ledger) -> None:
     assert folders.read(person, "person").revoked == b""
     (host / "revoked.crl").unlink()
     refused(host, r"revoked.crl is not there: copy the folder again")
+
+
+@given(data=st.data())
+@settings(max_examples=200, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+def test_a_copy_that_was_cut_short_anywhere_is_refused_or_is_the_whole(ledger: Ledger, data) -> None:
+    folder, who = _copied(ledger)
+    path = data.draw(st.sampled_from(sorted(folder.iterdir())))
+    whole = path.read_bytes()
+    length = data.draw(st.one_of(st.just(0), st.integers(0, len(whole) - 1)))
+    path.write_bytes(whole[:length])
+    try:
+        found = checked(folders.read(folder, who.kind))
+    except KeysError:
+        found = None
+    (told,) = health(folder, AT)
+    path.write_bytes(whole)
+    # A PEM text is whole without the newline at its end.
+    assert found == (who if path.suffix != ".crl" and not whole[length:].strip() else None)
+    assert told.state == ("problem" if found is None else "warning")
+
+
+def _copied(ledger: Ledger) -> tuple[Path, Identity]:
+    """The folder of a host that is not the only one, made once."""
+    if not ledger.rows(AT):
+        ledger.make("host", "bravo", (), AT, AT + DAY)
+        ledger.make("host", "alpha", (), AT, AT + DAY)
+        ledger.revoke("host", "bravo", AT)
+    return ledger.folder / "hosts" / "alpha", ledger.rows(AT)[0].who
+
+
+@pytest.mark.parametrize("holder", ["host", "person"])
+def test_a_list_of_no_bytes_was_cut_short(ledger: Ledger, holder) -> None:
+    folder = ledger.make(holder, "alpha", (), AT, AT + DAY).folder
+    (folder / "revoked.crl").write_bytes(b"")
+    refused(folder, r"revoked.crl is empty: it was cut short when it was copied", holder)
+    (ledger.folder / "revoked.crl").write_bytes(b"")
+    with pytest.raises(KeysError, match="is empty"), opened(ledger.folder):
+        pass
+
+
+@pytest.mark.parametrize("part", [0, 0.5])
+def test_a_file_of_an_authority_that_was_cut_short_is_named(ledger: Ledger, part: float) -> None:
+    ledger.make("host", "alpha", (), AT, AT + DAY)
+    for path in (*ledger.folder.glob("issued/*"), *ledger.folder.glob("*.*")):
+        named = path if part == 0 or path.stem != "authority" else ledger.folder
+        whole = path.read_bytes()
+        path.write_bytes(whole[: int(part * len(whole))])
+        with pytest.raises(KeysError, match=re.escape(f"{named}")), opened(ledger.folder) as again:
+            again.rows(AT)
+        path.write_bytes(whole)
 
 
 def test_an_authority_that_has_lost_its_list_begins_none_anew(ledger: Ledger) -> None:
@@ -234,7 +289,7 @@ def test_revoking_takes_all_of_somebody_and_every_folder_has_the_list(ledger: Le
     assert states(ledger) == [("host alpha", "revoked"), ("host alpha", "revoked"), ("host bravo", "good")]
     for folder in (ledger.folder, alpha.folder, bravo.folder):
         found = revoked_in(folders.read_list(folder), ledger.authority.certificate)
-        assert (found.number, found.serials) == (1, {who.serial for who in gone})
+        assert (found.number, found.serials) == (int(AT) + 2, {who.serial for who in gone})
     with pytest.raises(KeysError, match="no keys of this authority that are not revoked"):
         ledger.revoke("host", "alpha", AT + 2)
     with pytest.raises(KeysError, match="no keys that are not revoked: 'lfield keys host alpha' makes some"):
@@ -243,7 +298,7 @@ def test_revoking_takes_all_of_somebody_and_every_folder_has_the_list(ledger: Le
     assert folders.read(anew.folder, "host").revoked == folders.read_list(ledger.folder)
     with opened(ledger.folder) as again:
         again.revoke("host", "bravo", AT + 4)
-        assert (again.revoked.number, len(again.revoked.serials)) == (2, 3)
+        assert (again.revoked.number, len(again.revoked.serials)) == (int(AT) + 4, 3)
 
 
 def test_one_certificate_may_be_revoked_by_its_number(ledger: Ledger) -> None:
@@ -259,6 +314,30 @@ def test_one_certificate_may_be_revoked_by_its_number(ledger: Ledger) -> None:
     ):
         with pytest.raises(KeysError, match=words):
             ledger.revoke_serial(serial, AT + 3)
+
+
+def test_numbers_grow_also_where_a_copy_of_the_authority_is_put_back(ledger: Ledger, tmp_path: Path) -> None:
+    anna, bob = (ledger.make("person", name, (), AT, AT + DAY).who for name in ("anna", "bob"))
+    copy = shutil.copytree(ledger.folder, tmp_path / "copy")
+    ledger.revoke("person", "anna", AT + 2)
+    ledger.revoke_serial(bob.serial, AT + 2)
+    assert ledger.revoked.number == int(AT) + 3, "two of one second"
+    with opened(copy) as back:
+        back.revoke("person", "bob", AT + 60)
+        assert back.revoked.number > ledger.revoked.number
+        # What it does not know any more is revoked by its whole number, of which the hosts tell.
+        assert back.revoke_serial(anna.serial, AT + 61)[0].serial == anna.serial
+        assert back.revoked.serials == ledger.revoked.serials
+
+
+def test_a_certificate_that_a_copy_does_not_know_is_revoked_by_its_whole_number(ledger: Ledger) -> None:
+    gone = f"{1 << 158:x}"
+    (made,) = ledger.revoke_serial(gone, AT)
+    assert (str(made), ledger.revoked.serials) == ("a stranger", {gone})
+    with pytest.raises(KeysError, match="no certificates have a number that begins with"):
+        ledger.revoke_serial(gone[:36], AT)
+    with pytest.raises(KeysError, match="is revoked already"):
+        ledger.revoke_serial(gone, AT)
 
 
 def test_an_authority_is_renewed_and_all_that_it_made_stays_good(ledger: Ledger) -> None:

@@ -36,7 +36,7 @@ def test_the_bounds_of_the_page_are_those_of_the_code():
         f"| {stream.MOST_EVENTS}, and {stream.MOST_BYTES >> 20} MiB",
         f"| {WINDOW}, of {watcher.BATCH_BYTES >> 10} KiB",
         f"not read for {watcher.PATIENCE:g} s",
-        f"one host | {watchers.MOST} |",
+        f"one host | {watchers.MOST};",
         f"| {budget.BURST:g} at once and {budget.RATE:g} a second",
     ):
         assert bound in bounds

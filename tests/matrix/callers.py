@@ -6,7 +6,7 @@ import asyncio
 import random
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 
 import pytest
@@ -42,7 +42,7 @@ HOSTS, ADDRESSES = ("alpha", "bravo", "charlie"), ("127.0.0.1:1", "127.0.0.1:2",
 OWN = Hello("host", "alpha", 7, b"p" * 32, b"d" * 32, 1 << 16, bundle=b"b" * 32)
 BLOCK = b"block"
 HOP = Transfer("tom", 1, 2, 3, b"p" * 32, 7, len(BLOCK))
-TOKEN = 77
+TOKEN, FIRST = 77, 1
 #: What is sent, by column: to whom only hosts say it, and what commands say.
 SAID_BY_HOSTS: dict[str, Message] = {
     "ended": Ended("tom", 1, "done", "", "bravo"),
@@ -142,6 +142,14 @@ class Caller:
         )
 
 
+@dataclass(frozen=True)
+class Fate:
+    """What becomes of a caller while a link of it stands: its certificate `ends`, or a list comes."""
+
+    ends: bool
+    flies: bool
+
+
 class Network:
     """One team, another one, and everybody who might call host alpha of the first."""
 
@@ -149,6 +157,7 @@ class Network:
         self.team, self.other = Team(), Team()
         self.alpha = self.team.host("alpha")
         self._revoked = (self.team.host("bravo"), self.team.person("carl", *Right))
+        self.none = self.team.revoked(0)
         self.list = self.team.revoked(1, *self._revoked)
         self.newer = self.team.revoked(2, *self._revoked)
         self.forged = self.other.revoked(9, self.alpha)
@@ -212,11 +221,39 @@ class Network:
             assert by_command == done, "whoever has a right has a command for it"
         return done
 
-    async def _try(self, caller: Caller, what: str, role: Role, door: str) -> bool:
-        """One link that greets in a role and says one thing; whether it had what it wanted."""
+    def tried_on_a_link(self, who: str, what: str) -> bool:
+        """The same on a link that was made before its caller's certificate ended or was revoked."""
+        kind, event, state = who.split("_")
+        caller = self.standing[kind, event]
+        fate = Fate(event == "ended", flies=state == "flies")
+        return asyncio.run(self._try(caller, what, "host" if kind == "host" else "observer", "", fate))
+
+    @cached_property
+    def standing(self) -> dict[tuple[str, str], Caller]:
+        """Who has a link, by what they are and what becomes of their certificates."""
+        team, end = self.team, NOW + 60.0
+        bravo, carl = (Caller(keys) for keys in self._revoked)
+        ends = Caller(team.host("bravo", end=end))
+        return {
+            ("host", "revoked"): bravo,
+            ("host", "ended"): ends,
+            ("host", "other"): Caller(team.host("bravo")),
+            ("looks", "revoked"): bravo,
+            ("looks", "ended"): ends,
+            ("person", "revoked"): carl,
+            ("person", "ended"): Caller(team.person("carl", *Right, end=end)),
+            ("person", "other"): Caller(team.person("carl", *Right)),
+        }
+
+    async def _try(self, caller: Caller, what: str, role: Role, door: str, fate: Fate | None = None) -> bool:
+        """One link that greets in a role and says one thing; whether it had what it wanted.
+
+        With a `fate` that comes between the greeting and the rest.
+        """
         noted, clock, tls = Noted(), ManualClock(NOW), Tls(self.alpha)
-        revoked = revoked_in(self.list, self.team.authority.certificate)
-        admission = Judged(self.alpha, tls.own(), BelievedTime(clock), revoked, self.list)
+        data = self.list if fate is None else self.none
+        revoked = revoked_in(data, self.team.authority.certificate)
+        admission = Judged(self.alpha, tls.own(), BelievedTime(clock), revoked, data)
         admission.barred = RULES.barred
         transport, dice = TcpTransport(1 << 16, tls), random.Random(1)
         peers = Peers(noted, transport, clock, dice, HOSTS, ADDRESSES, 0, (), admission)
@@ -227,7 +264,10 @@ class Network:
             if caller.asks:
                 return await _asked(door, SAID_BY_COMMANDS[what]) and SAID_BY_COMMANDS[what] in noted.done
             words = self._words(caller.hello(role, "charlie" if what == "other" else ""), what)
-            attacker = await _said(caller, door or address, words)
+            between: Callable[[], None] | None = None
+            if fate is not None:
+                between = partial(self._befall, fate, admission, clock, peers)
+            attacker = await _said(caller, door or address, words, between)
             if caller.replays:
                 noted.forget()
                 admission.revoked, admission.list, admission.number = revoked, self.list, revoked.number
@@ -235,6 +275,15 @@ class Network:
             return self._had(what, attacker, noted, admission)
         finally:
             peers.close()
+
+    def _befall(self, fate: Fate, admission: Judged, clock: ManualClock, peers: Peers) -> None:
+        """A certificate ends, or a list comes that revokes some."""
+        admission.flies = lambda: fate.flies
+        if fate.ends:
+            clock.advance(120.0)
+        else:
+            assert admission.news(self.list)
+        peers.judge()
 
     def _words(self, hello: Hello, what: str) -> list[bytes]:
         said = [encode(hello)]
@@ -249,18 +298,29 @@ class Network:
     def _had(self, what: str, attacker: Attacker, noted: Noted, admission: Judged) -> bool:
         if what == "hear":
             return attacker.greeted
+        if what == "mission":
+            return any(isinstance(said, Hello) and said.program for said in attacker.heard)
         if what == "other":
             return "charlie" in noted.linked_with
         if what in ("list", "forged"):
-            return admission.list != self.list
+            return admission.number == (2 if what == "list" else 9)
         wanted = HOP if what == "hop" else {**SAID_BY_HOSTS, **SAID_BY_COMMANDS}[what]
         return wanted in noted.done
 
 
-async def _said(caller: Caller, address: str, words: list[bytes]) -> Attacker:
-    """A link on which these words are said, until the host has heard all or hangs up."""
+async def _said(
+    caller: Caller, address: str, words: list[bytes], between: Callable[[], None] | None = None
+) -> Attacker:
+    """A link on which these words are said, until the host has heard all or hangs up.
+
+    What comes `between` happens when it has taken the first, the greeting.
+    """
     attacker = Attacker(context(caller.keys) if caller.tls else None, caller.bent)
     await attacker.open(address)
+    if between is not None:
+        await attacker.say(words.pop(0) + encode(Ping(FIRST)))
+        await attacker.listen(FIRST)
+        between()
     for word in words:
         await attacker.say(word)
     await attacker.listen(TOKEN)

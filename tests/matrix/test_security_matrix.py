@@ -55,6 +55,11 @@ def test_at_the_door(network, cell, monkeypatch, tmp_path):
     is_as_told(cell, network.tried_at_the_door(cell.who, cell.what, monkeypatch, tmp_path))
 
 
+@pytest.mark.parametrize("cell", of("standing"))
+def test_on_a_link_that_stands(network, cell):
+    is_as_told(cell, network.tried_on_a_link(cell.who, cell.what))
+
+
 @pytest.mark.parametrize("cell", of("keys"))
 def test_with_keys(folders, cell):
     is_as_told(cell, folders.tried(cell.who, cell.what))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import stat
+import time
 from pathlib import Path
 
 import pytest
@@ -12,6 +13,7 @@ from missions import CAPABILITIES, PLAIN, write_plain, write_rich
 from lfield.errors import BundleError
 from lfield.mission import bundle, cache
 from lfield.mission.cache import NotBuilt, Order, cache_folder, prepared
+from lfield.text.private import private_locked
 
 
 @pytest.fixture(autouse=True)
@@ -48,6 +50,13 @@ def test_nothing_is_built_twice(tmp_path: Path, built: list[Order]) -> None:
     assert len(built) == 1
     with prepared(order) as path:
         assert list(bundle.read(path).team.hosts) == ["alpha", "bravo"]
+
+
+def test_nothing_is_left_of_a_build_while_its_bundle_runs(tmp_path: Path, folder: Path) -> None:
+    """Whoever runs it may be killed, and tidies nothing up then."""
+    with prepared(Order(write_plain(tmp_path / "here"))) as path:
+        assert sorted(found.suffix for found in folder.iterdir()) == [".lfm", ".made"]
+        assert path.parent == folder
 
 
 def test_another_order_is_another_bundle(tmp_path: Path, built: list[Order]) -> None:
@@ -157,12 +166,15 @@ def test_the_oldest_are_forgotten(tmp_path: Path, folder: Path, monkeypatch: pyt
     bytes_of(first)
     for path in folder.iterdir():
         os.utime(path, (1.0, 1.0))
-    killed, busy = folder / "building-killed", folder / "building-busy"
+    killed, busy, begun = (folder / f"building-{name}" for name in ("killed", "busy", "begun"))
+    for workshop in (killed, busy, begun):
+        workshop.mkdir(0o700)
+        (workshop / "inputs").touch()
     for workshop in (killed, busy):
-        workshop.mkdir()
-    os.utime(killed, (1.0, 1.0))
-    bytes_of(second)
-    assert (killed.exists(), busy.exists()) == (False, True)
+        os.utime(workshop, (time.time() - 100.0,) * 2)
+    with private_locked(busy):
+        bytes_of(second)
+    assert [workshop.exists() for workshop in (killed, busy, begun)] == [False, True, True]
     assert len(list(folder.glob("*.lfm"))) == len(list(folder.glob("*.made"))) == 1
     assert (folder / f"{second.key}.made").exists()
 

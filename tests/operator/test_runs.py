@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import fcntl
 import json
 import os
 import re
@@ -15,12 +17,13 @@ from pathlib import Path
 import msgspec
 import pytest
 
+from lfield.errors import OutputFileError
 from lfield.operator import runs
-from lfield.operator.runs import Note, nothing_here, running, runs_here, unseen
+from lfield.operator.runs import Note, nothing_here, refuse_unfound, running, runs_here, unseen
 
 DEPLOYMENT = b"d" * 32
 ADDRESSES = {"alpha": "127.0.0.1:4001", "bravo": "127.0.0.1:4002"}
-NOTE = Note("/m/tour.dL", DEPLOYMENT.hex(), "ann", 7, 10.5, 120.0, ADDRESSES, {"alpha": "alpha.sock"})
+NOTE = Note("/m/tour.dL", DEPLOYMENT.hex(), 7, 10.5, 120.0, ADDRESSES, {"alpha": "alpha.sock"})
 
 
 @pytest.fixture
@@ -54,8 +57,8 @@ def service(tmp_path, monkeypatch):
     return made
 
 
-def begun(note: Note = NOTE, tell=pytest.fail):
-    return running(note, tell)
+def begun(note: Note = NOTE, unfound=pytest.fail):
+    return running(note, unfound)
 
 
 def mode(path: Path) -> int:
@@ -97,11 +100,20 @@ def test_two_runs_of_one_mission_do_not_touch_each_other():
 def test_where_no_folder_can_be_made_it_goes_on(folder):
     folder.write_text("a file, not a folder")
     told = []
-    with begun(tell=told.append) as doors:
+    with begun(unfound=told.append) as doors:
         assert (runs_here(), dict(doors.addresses), doors.lock) == ([], {}, ())
-    assert told == [
-        f"ps, query and estop need --map to find these hosts: cannot write {folder}: it is not a folder"
-    ]
+    assert [str(error) for error in told] == [f"cannot write {folder}: it is not a folder"]
+
+
+def test_what_nobody_else_has_keys_of_does_not_begin_unfound(folder):
+    """Whoever comes first makes /tmp/lfield-0, and root's run could not be stopped."""
+    folder.write_text("somebody's file")
+    with pytest.raises(OutputFileError) as error, begun(unfound=refuse_unfound):
+        pytest.fail("it runs")
+    assert str(error.value) == (
+        f"cannot write {folder}: it is not a folder; no command could find what runs, to stop it: set "
+        "XDG_RUNTIME_DIR to another folder of your own, or remove what is in the way"
+    )
 
 
 def test_a_folder_that_somebody_else_made_ready_is_not_used(folder, tmp_path):
@@ -110,7 +122,7 @@ def test_a_folder_that_somebody_else_made_ready_is_not_used(folder, tmp_path):
     elsewhere.mkdir(mode=0o700)
     folder.symlink_to(elsewhere)
     told = []
-    with begun(tell=told.append):
+    with begun(unfound=told.append):
         assert list(elsewhere.iterdir()) == []
     assert len(told) == 1
     folder.unlink()
@@ -222,9 +234,9 @@ def test_a_folder_too_deep_for_sockets(tmp_path, monkeypatch):
     deep.mkdir()
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(deep))
     told = []
-    with begun(tell=told.append) as doors:
+    with begun(unfound=told.append) as doors:
         assert not doors.addresses
-    assert told[0].endswith("the path is too long for a socket; set XDG_RUNTIME_DIR")
+    assert str(told[0]).endswith("the path is too long for a socket; set XDG_RUNTIME_DIR")
     assert list(deep.iterdir()) in ([], [deep / "lfield"])
 
 
@@ -280,7 +292,8 @@ def test_root_finds_the_runs_of_other_users_in_their_own_name_only(tmp_path, mon
         run, lock = runs._begin(NOTE)
     try:
         owned(base, 4242)
-        assert [found.folder for found in runs_here()] == [run.folder]
+        (found,) = runs_here()
+        assert (found.folder, found.id, found.user) == (run.folder, f"4242/{run.folder.name}", "4242")
         os.chown(run.folder / "note.json", 4243, 4243)
         assert runs_here() == []
         owned(base, 4243)
@@ -293,6 +306,57 @@ def test_root_finds_the_runs_of_other_users_in_their_own_name_only(tmp_path, mon
         assert runs_here() == []
     finally:
         os.close(lock)
+
+
+@pytest.fixture
+def of_others(tmp_path, monkeypatch):
+    """A run of user 4242, as its process has made it; more of them can be made."""
+    base = tmp_path / "shared" / "lfield-4242"
+    base.parent.mkdir(parents=True)
+    locks = []
+
+    def make(**fields):
+        with monkeypatch.context() as login:
+            login.setattr(runs, "_base", lambda: (base, False))
+            os.chown(base, 0, 0) if base.exists() else None
+            run, lock = runs._begin(changed(**fields))
+        locks.append(lock)
+        owned(base, 4242)
+        return run
+
+    yield make
+    for lock in locks:
+        os.close(lock)
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root can make what belongs to others")
+def test_whose_a_run_is_says_its_file_and_not_its_note(of_others):
+    """And what another user claims comes last, however long it says that it has run."""
+    of_others(started=1.0)
+    with begun():
+        own, other = runs_here()
+    assert (own.owner, own.user, own.is_foreign) == ("root", "", False)
+    assert (other.owner, other.user, other.is_foreign) == ("4242", "4242", True)
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root can make what belongs to others")
+def test_notes_of_another_user_take_no_more_than_one_note_may(of_others, monkeypatch):
+    for _ in range(5):
+        size = len(msgspec.json.encode(of_others().note))
+    with begun():
+        monkeypatch.setattr(runs, "_MAX_NOTE", 3 * size + 1)
+        assert [run.is_foreign for run in runs_here()] == [False, True, True, True]
+        monkeypatch.setattr(runs, "_MOST_OF_OTHERS", 2)
+        assert [run.is_foreign for run in runs_here()] == [False, True, True]
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root can make what belongs to others")
+def test_a_fifo_in_the_place_of_a_note_keeps_nobody(of_others):
+    note = of_others().folder / "note.json"
+    note.unlink()
+    os.mkfifo(note)
+    os.chown(note, 4242, 4242)
+    assert runs_here() == []
 
 
 def test_who_finds_nothing_hears_where_was_looked(tmp_path, monkeypatch):
@@ -314,6 +378,42 @@ def test_a_service_shows_its_runs_to_its_group(service, folder):
         (first, _) = service.iterdir()
         assert (mode(first), mode(first / "note.json")) == (0o750, 0o640)
     assert list(service.iterdir()) == []
+
+
+def test_who_may_only_read_the_note_of_a_killed_run_cannot_keep_it_listed(service):
+    """A member of the group may open folder and note, and lock both for reading."""
+    run, lock = runs._begin(NOTE)
+    held = [os.open(path, os.O_RDONLY) for path in (run.folder, run.folder / "note.json")]
+    for opened in held:
+        fcntl.flock(opened, fcntl.LOCK_SH)
+    fcntl.fcntl(held[1], fcntl.F_OFD_SETLK, runs._LOCK.pack(fcntl.F_UNLCK, 0, 0, 0, 0))
+    assert len(runs_here()) == 1
+    with pytest.raises(OSError, match="Bad file descriptor"):
+        fcntl.fcntl(held[1], fcntl.F_OFD_SETLK, runs._LOCK.pack(fcntl.F_WRLCK, 0, 0, 0, 0))
+    os.close(lock)
+    fcntl.fcntl(held[1], fcntl.F_OFD_SETLK, runs._LOCK.pack(fcntl.F_RDLCK, 0, 0, 0, 0))
+    fcntl.flock(held[0], fcntl.LOCK_EX)
+    assert runs_here() == []
+    assert not run.folder.exists()
+    for opened in held:
+        os.close(opened)
+
+
+def test_what_cannot_be_looked_at_is_not_tidied_up(folder, monkeypatch):
+    """A command without descriptors must not take the doors away from what runs."""
+    with begun():
+        (run,) = folder.iterdir()
+        real = os.open
+
+        def full(path, *args, **options):
+            if str(path).endswith("note.json"):
+                raise OSError(errno.EMFILE, "Too many open files")
+            return real(path, *args, **options)
+
+        with monkeypatch.context() as out:
+            out.setattr(os, "open", full)
+            assert runs_here() == []
+        assert [found.folder for found in runs_here()] == [run]
 
 
 def test_a_command_finds_the_runs_of_the_service_and_its_own(service, monkeypatch):
@@ -354,6 +454,10 @@ def test_a_service_that_this_user_may_not_look_at_is_told(service, monkeypatch):
                 {"addresses": {"alpha": 1}},
                 {"addresses": {"": "127.0.0.1:1"}},
                 {"addresses": {"alpha": "1" * 300}},
+                {"addresses": {"alpha": "unix:/run/other.sock"}},
+                {"addresses": {"alpha": "fd:3"}},
+                {"addresses": {f"h{number}": "127.0.0.1:1" for number in range(4097)}},
+                {"user": "root"},
                 {"doors": {"alpha": "../alpha.sock"}},
                 {"doors": {"alpha": "/alpha.sock"}},
                 {"doors": {"alpha": ".."}},

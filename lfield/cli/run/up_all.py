@@ -27,7 +27,7 @@ from lfield.host.process import leash
 from lfield.host.process.stop_words import ECHO, StopWords, hear_signals
 from lfield.mission.team import parse_maps
 from lfield.net.local import reserve
-from lfield.operator.runs import Doors, begun, running
+from lfield.operator.runs import Doors, begun, refuse_unfound, running
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -50,17 +50,17 @@ RAN = (exits.DONE, exits.FAILED, exits.UNSAFE, exits.UNHEARD)
 
 
 def run_all(mission: Mission, file: Path, args: argparse.Namespace) -> int:
-    """Run every host of the mission in a bundle until all have ended: 0 if all did so normally."""
+    """Run every host of the mission in a bundle until all have ended: 0 if all did so normally.
+
+    Nobody else has the keys of the run, so commands reach it on this computer or not at all: it does not
+    start where they would not find it. Raises OutputFileError.
+    """
     mapped = parse_maps(args.map, mission.team)
     reserved = {host: reserve(mapped.get(host, FREE)) for host in mission.team.hosts}
     addresses = {host: address for host, (_, address) in reserved.items()}
     named = mission_path(args)
-    with running(begun(mission.at(mission.team.at(addresses)), named, addresses), _tell) as doors:
+    with running(begun(mission.at(mission.team.at(addresses)), named, addresses), refuse_unfound) as doors:
         return asyncio.run(_Team(mission, file, args, reserved, addresses, doors).run())
-
-
-def _tell(text: str) -> None:
-    print(f"lfield: {text}", file=sys.stderr)
 
 
 class _Team:

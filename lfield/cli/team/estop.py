@@ -11,17 +11,20 @@ from typing import TYPE_CHECKING
 from lfield import exits
 from lfield.cli.mission_argument import add_running_mission, meant_parties, meant_runs, named_mission
 from lfield.errors import AddressError
-from lfield.text.visible import in_one_line
+from lfield.text.visible import clipped, in_one_line
 
 if TYPE_CHECKING:
     from lfield.errors import LfieldError
     from lfield.operator.addressed import Party, Place
+    from lfield.operator.runs import Run
     from lfield.wire.observing import EmergencyStopped
 
     Stopped = Mapping[Place, EmergencyStopped | LfieldError]
 
 #: How long devices of hosts that no run here is of have to come to rest, in seconds: as most bindings say.
 REST_WITHIN = 120.0
+#: The longest line of those that are stopped, in characters: of all of a team, but for a very large one.
+_LINE = 4000
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -39,21 +42,24 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """0 when every device has confirmed and was seen at rest, else 3; 69 where nothing runs at all."""
     from lfield.operator.addressed import names_of
-    from lfield.operator.ask import ask_parties, emergency_stop, reached
+    from lfield.operator.ask import asked_in_turn, emergency_stop, reached
 
     parties = meant_parties(args, meant_runs(args))
     names = names_of(parties)
     if named_mission(args) is None:
         _tell_whom(parties, "lifting" if args.lift else "stopping")
     reason = f"the emergency stop was pressed{': ' if args.reason else ''}{args.reason}"
+    answers: dict[Place, EmergencyStopped | LfieldError] = {}
+    confirmed = everybody = True
     try:
-        answers = ask_parties(parties, emergency_stop(reason, lift=args.lift), args.keys)
+        for some in asked_in_turn(parties, emergency_stop(reason, lift=args.lift), args.keys):
+            confirmed &= all_confirmed(some, names, "may be released" if args.lift else "safe")
+            _tell_not_kept(some, names)
+            everybody &= all_reached(some, names)
+            answers |= some
     except KeyboardInterrupt:
         _tell("interrupted: not every host has answered; press it again")
         return exits.UNSAFE
-    confirmed = all_confirmed(answers, names, "may be released" if args.lift else "safe")
-    _tell_not_kept(answers, names)
-    everybody = all_reached(answers, names)
     if not (parties[0].runs or any(reached(answer) for answer in answers.values())):
         return AddressError.exit_status
     if args.lift or args.no_wait:
@@ -66,16 +72,16 @@ def _tell_whom(parties: Sequence[Party], doing: str) -> None:
     from lfield.operator.runs import unseen
 
     for party in parties:
-        print(f"{doing} {party.id}: {', '.join(party.addresses)}")
+        print(clipped(in_one_line(f"{doing} {party.id}: {', '.join(party.addresses)}"), _LINE))
     if unseen():
         _tell(f"lfield: {unseen()}")
 
 
 def all_reached(answers: Stopped, names: Mapping[Place, str]) -> bool:
     """Whether every host has answered; a line on stderr for each that has not."""
-    from lfield.operator.ask import silent, tell_silent
+    from lfield.operator.ask import tell_silent, unheard
 
-    unreached = silent({names[place]: answer for place, answer in answers.items()})
+    unreached = unheard(answers, names)
     tell_silent(unreached, "NOT REACHED, its devices have not confirmed: ")
     return not unreached
 
@@ -110,7 +116,7 @@ def way_down(
     from lfield.operator.ask import observer, own_keys
     from lfield.operator.descent import Descent
 
-    within = max((run.note.rest_within for party in parties for run in party.runs), default=REST_WITHIN)
+    within = max((_rest_within(run) for party in parties for run in party.runs), default=REST_WITHIN)
     descent = Descent(within, SystemClock().monotonic())
     for place, answer in answers.items():
         if not isinstance(answer, Exception):
@@ -131,6 +137,11 @@ def way_down(
     if interrupted:
         return exits.INTERRUPTED
     return exits.UNSAFE if wrong else exits.DONE
+
+
+def _rest_within(run: Run) -> float:
+    """How long devices of a run have; that another user says so is no reason to look for ever."""
+    return min(run.note.rest_within, REST_WITHIN) if run.user else run.note.rest_within
 
 
 def _tell(text: str) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import sys
+from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING
 
@@ -19,6 +20,8 @@ if TYPE_CHECKING:
 
 #: How often a second telemetry is told, unless it is chosen, and at most.
 RATE, MAX_RATE = 1.0, 20.0
+#: The most hosts that are heard because another user says that there are such.
+MOST_OF_OTHERS = 32
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -120,7 +123,7 @@ def listen(
     from lfield.operator.addressed import names_of
 
     parties = meant_parties(args, meant_runs(args))
-    names = _named(names_of(parties), only)
+    names = _bounded(_named(names_of(parties), only))
 
     def look() -> list[Party]:
         return meant_parties(args, meant_runs(args))
@@ -152,6 +155,22 @@ def _named(names: dict[Place, str], only: Sequence[str]) -> dict[Place, str]:
                 f"there is no host {name!r}: there is {listed(sorted(hosts))}{f'; {hint}' if hint else ''}"
             )
     return {place: name for place, name in names.items() if not only or {place.host, name} & set(only)}
+
+
+def _bounded(names: dict[Place, str]) -> dict[Place, str]:
+    """Of each other user only so many; on stderr, how many are left out."""
+    found: dict[str, list[Place]] = defaultdict(list)
+    for place in names:
+        found[place.user].append(place)
+    for user, places in found.items():
+        if user and len(places) > MOST_OF_OTHERS:
+            left = len(places) - MOST_OF_OTHERS
+            print(
+                f"lfield: {left} hosts of user {user} are not heard: name a run with --run", file=sys.stderr
+            )
+            for place in places[MOST_OF_OTHERS:]:
+                del names[place]
+    return names
 
 
 def _print(told: Dated | Notice, lines: Callable[[Dated | Notice], Iterable[str]]) -> None:

@@ -20,11 +20,11 @@ def run(args: argparse.Namespace) -> int:
 
     69 when a host did not answer.
     """
-    from lfield.operator.addressed import names_of
+    from lfield.operator.addressed import believed_of, names_of
     from lfield.operator.ask import STATUS, ask_parties, forget, silent, tell_silent
     from lfield.operator.whereabouts import insist_on_doubt
 
-    parties = meant_parties(args, meant_runs(args))
+    parties = believed_of(meant_parties(args, meant_runs(args)))
     names = names_of(parties)
     before = ask_parties(parties, STATUS, args.keys)
     if not all(isinstance(answer, Exception) for answer in before.values()):

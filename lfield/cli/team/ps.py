@@ -19,7 +19,7 @@ def run(args: argparse.Namespace) -> int:
     """0 when every host answered, 69 when one or more did not."""
     from lfield.cli.views import picture, run_table
     from lfield.operator.addressed import names_of
-    from lfield.operator.ask import STATUS, ask_parties, by_host, silent, tell_silent
+    from lfield.operator.ask import STATUS, ask_parties, by_host, heard, tell_silent, unheard
     from lfield.operator.runs import unseen
 
     runs = meant_runs(args)
@@ -27,16 +27,18 @@ def run(args: argparse.Namespace) -> int:
     answers = ask_parties(parties, STATUS, args.keys)
     names = names_of(parties)
     named = {names[place]: answer for place, answer in answers.items()}
+    silent = unheard(answers, names)
     if named_mission(args) is None and unseen():
         print(f"lfield: {unseen()}", file=sys.stderr)
     if args.json:
         print(picture.as_json(named) if named_mission(args) else run_table.as_json(parties, answers))
-        return exits.UNAVAILABLE if silent(named) else exits.DONE
+        return exits.UNAVAILABLE if silent else exits.DONE
     if named_mission(args) is None:
         run_table.show(runs)
     for party in parties:
         if named_mission(args) is None or len(parties) > 1:
             print(f"\n{party.id}")
-        picture.show(by_host(answers, party))
-    tell_silent(silent(named))
-    return exits.UNAVAILABLE if silent(named) else exits.DONE
+        shown = by_host(answers, party)
+        picture.show(heard(shown) if party.user else shown)
+    tell_silent(silent)
+    return exits.UNAVAILABLE if silent else exits.DONE

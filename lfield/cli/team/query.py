@@ -6,9 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from lfield.cli.mission_argument import add_running_mission, meant_parties, meant_runs, named_mission
-from lfield.errors import UsageError
-from lfield.text.suggest import listed
+from lfield.cli.mission_argument import add_running_mission, meant_party, meant_runs, named_mission
 
 #: The largest team that can be asked for.
 MAX_TEAM = 1000
@@ -18,7 +16,6 @@ if TYPE_CHECKING:
     from lfield.capability.model import Primitive
     from lfield.cli.views.query_view import Answer, Known
     from lfield.mission.team import Team
-    from lfield.operator.addressed import Party
     from lfield.operator.query import Asked
     from lfield.operator.question import Question
 
@@ -98,7 +95,7 @@ def _known(args: argparse.Namespace, team: Team, asked: Asked, at: str) -> Known
     from lfield.operator.ask import ask_parties, by_host, patiently, silent
     from lfield.operator.query import from_files, from_hosts, views_of
 
-    party = None if args.files else _only(meant_parties(args, meant_runs(args)))
+    party = None if args.files else meant_party(args)
     answers = by_host(ask_parties([party], patiently(), args.keys), party) if party else {}
     views, errors = views_of(answers), silent(answers)
     # Where nobody listens at all nothing runs, which is no problem; anything else is one.
@@ -111,10 +108,3 @@ def _known(args: argparse.Namespace, team: Team, asked: Asked, at: str) -> Known
         raise errors[at]
     roster = from_hosts(registry, team.deployed, views, errors.keys(), at, pose)
     return Known(roster, tuple(views), told)
-
-
-def _only(parties: list[Party]) -> Party:
-    if len(parties) > 1:
-        runs = listed([party.id for party in parties])
-        raise UsageError(f"the mission runs here {len(parties)} times, as {runs}: pick one with --run")
-    return parties[0]

@@ -27,11 +27,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """0 when it goes on, 1 when nobody agreed, 69 when it is alive or its host does not go on with it."""
-    from lfield.operator.addressed import names_of
+    from lfield.operator.addressed import believed_of, names_of
     from lfield.operator.ask import STATUS, ask_parties, silent, tell_silent
     from lfield.operator.recover import believed
 
-    parties = meant_parties(args, meant_runs(args))
+    parties = believed_of(meant_parties(args, meant_runs(args)))
     names = names_of(parties)
     answers = ask_parties(parties, STATUS, args.keys)
     if all(isinstance(answer, LfieldError) for answer in answers.values()):

@@ -17,7 +17,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """0 when every host goes on, 69 when one did not answer."""
     from lfield.operator.addressed import names_of
-    from lfield.operator.ask import ask_parties, pause, silent, tell_silent
+    from lfield.operator.ask import ask_parties, pause, tell_silent, unheard
 
     parties = meant_parties(args, meant_runs(args))
     names = names_of(parties)
@@ -28,6 +28,6 @@ def run(args: argparse.Namespace) -> int:
             for device, held in answer.devices.items():
                 if held:
                     print(in_one_line(f"{names[place]}: {device}: {held}"))
-    unheard = silent({names[place]: answer for place, answer in answers.items()})
-    tell_silent(unheard, "NOT REACHED, it stays as it is: ")
-    return exits.UNAVAILABLE if unheard else exits.DONE
+    unreached = unheard(answers, names)
+    tell_silent(unreached, "NOT REACHED, it stays as it is: ")
+    return exits.UNAVAILABLE if unreached else exits.DONE

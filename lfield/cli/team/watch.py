@@ -11,7 +11,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from lfield import exits
-from lfield.cli.mission_argument import add_running_mission, meant_parties, meant_runs, named_mission
+from lfield.cli.mission_argument import (
+    add_running_mission,
+    meant_parties,
+    meant_party,
+    meant_runs,
+    named_mission,
+)
 from lfield.errors import KeysError, PluginError, UsageError
 from lfield.text.suggest import listed
 
@@ -74,7 +80,7 @@ def run(args: argparse.Namespace) -> int:
     tiles = Tiles(args.tiles) if args.tiles else None
     path = named_mission(args) or only_mission(meant_runs(args))
     team = open_team(path)
-    party = _only(meant_parties(args, meant_runs(args)))
+    party = meant_party(args)
     try:
         asyncio.run(_watch(args, path, team, party, tiles, page_keys))
     except (KeyboardInterrupt, asyncio.CancelledError):
@@ -108,13 +114,6 @@ def _need_nicegui() -> None:
 
     if find_spec("nicegui") is None:
         raise PluginError("the page needs nicegui, on this computer only: pip install 'lfield[watch]'")
-
-
-def _only(parties: Sequence[Party]) -> Party:
-    if len(parties) > 1:
-        runs = listed([party.id for party in parties])
-        raise UsageError(f"the mission runs here {len(parties)} times, as {runs}: pick one with --run")
-    return parties[0]
 
 
 def _end_with_ctrl_c() -> None:

@@ -35,7 +35,7 @@ def picture(answers: Answers[Status]) -> Group:
     Last are the hosts: how late each was, how long it may be silent, what it keeps, and which bundle it runs.
     """
     further = [table for table in (_devices(answers), _hosts(answers)) if table.row_count]
-    hints = map(in_one_line, [*_paused(answers), *what_can_be_done(answers)])
+    hints = map(in_one_line, [*_paused(answers), *_unkept(answers), *what_can_be_done(answers)])
     bundles = ["", *map(in_one_line, _bundles(answers))] if _bundles(answers) else []
     return Group(_agents(answers), *hints, *(part for table in further for part in ("", table)), *bundles)
 
@@ -52,6 +52,11 @@ def _bundles(answers: Answers[Status]) -> list[str]:
 def _paused(answers: Answers[Status]) -> list[str]:
     hosts = [host for host, told in answers.items() if not isinstance(told, LfieldError) and told.paused]
     return [f"paused: {', '.join(hosts)}; 'lfield resume' lets the mission go on"] if hosts else []
+
+
+def _unkept(answers: Answers[Status]) -> list[str]:
+    told = {host: told for host, told in answers.items() if not isinstance(told, LfieldError)}
+    return [f"{host} is in trouble: {status.unkept}" for host, status in told.items() if status.unkept]
 
 
 def _add(shown: Table, *cells: str) -> None:
@@ -203,6 +208,7 @@ def _status(status: Status) -> dict[str, Any]:
         "silence": status.silence,
         "paused": status.paused,
         "stopped": status.stopped,
+        "unkept": status.unkept,
         "lease": status.lease,
         "journal": _journal_data(status.journal),
         "begun": [asdict(begun) for begun in status.begun],

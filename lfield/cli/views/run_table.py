@@ -15,7 +15,11 @@ from lfield.errors import LfieldError
 from lfield.operator.addressed import Party, Place
 from lfield.operator.ask import by_host
 from lfield.operator.runs import Run
+from lfield.text.visible import clipped, in_one_line
 from lfield.wire.observing import Status
+
+#: The longest text of a cell, in characters.
+_CELL, _CELL_OF_OTHERS = 4000, 200
 
 
 def show(runs: Sequence[Run]) -> None:
@@ -25,7 +29,9 @@ def show(runs: Sequence[Run]) -> None:
         shown.add_column(column, overflow="fold")
     for run in runs:
         note = run.note
-        shown.add_row(run.id, " ".join(note.doors), note.user, _time(note.started), note.mission)
+        cells = (run.id, " ".join(note.doors), run.owner, _time(note.started), note.mission)
+        most = _CELL_OF_OTHERS if run.is_foreign else _CELL
+        shown.add_row(*(clipped(in_one_line(cell), most) for cell in cells))
     plain_console().print(shown)
 
 
@@ -43,7 +49,7 @@ def _party(party: Party, answers: Mapping[Place, Status | LfieldError]) -> dict[
         {
             "id": run.id,
             "mission": run.note.mission,
-            "user": run.note.user,
+            "user": run.owner,
             "since": _time(run.note.started),
             "hosts": list(run.note.doors),
         }

@@ -6,23 +6,19 @@ hosts does not begin.
 
 from __future__ import annotations
 
-import asyncio
 from collections.abc import Collection, Sequence
-from contextlib import suppress
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 
-from lfield.authority import folder
 from lfield.authority.admission import Judged
 from lfield.authority.believed import BelievedTime
 from lfield.authority.identity import Identity
-from lfield.authority.judge import NOBODY, Revoked, when
+from lfield.authority.judge import Revoked, when
 from lfield.authority.keys import Keys
 from lfield.clock import Clock
-from lfield.errors import KeysError, OutputFileError, UsageError
+from lfield.errors import KeysError, UsageError
+from lfield.host.process.own_list import ListKeeper, newest_list
 from lfield.journal.pages import BundlePage, Page
-from lfield.loop import spawn
 from lfield.mission.access.release import FROM_FILES, Release, Taken, taken
 from lfield.mission.mission import Mission
 from lfield.net.tls import Tls
@@ -66,11 +62,11 @@ def admitted(proof: Proof, host: str, clock: Clock, times: Collection[float]) ->
         raise KeysError(
             f"these are the keys of {own}, not of host {host}: 'lfield keys host {host}' makes those"
         )
-    revoked, data = _newest(proof)
+    revoked, data = newest_list(proof.keys, proof.folders)
     time = BelievedTime(clock, max((at for at in times if at < own.ends), default=0.0))
     admission = Judged(proof.keys, own, time, revoked, data)
     _insist_on_good(own, revoked, time.now(), proof.lasts)
-    admission.keep = partial(_keep_aside, proof.folders)
+    admission.keep = ListKeeper(proof.folders, admission).keep
     return tls, admission
 
 
@@ -113,28 +109,3 @@ def _insist_on_good(own: Identity, revoked: Revoked, now: float, lasts: float) -
             f"the certificate of {own} ends {when(own.ends)}, and the mission may last {lasts:.10g} s from "
             f"{when(now)} on: renew it with 'lfield keys renew {own}', or say with --lasts how long it takes"
         )
-
-
-def _newest(proof: Proof) -> tuple[Revoked, bytes]:
-    """The revocation list with the highest number, of those that are kept."""
-    # Large, and loaded before anything moves: a list may come in flight, and nothing must stand still for it.
-    from lfield.authority.reading import revoked_in
-
-    lists = [proof.keys.revoked, *(folder.read_list(place) for place in proof.folders)]
-    if not any(lists):
-        return NOBODY, b""
-    read = [(revoked_in(data, proof.keys.authority), data) for data in lists if data]
-    return max(read, key=lambda found: found[0].number)
-
-
-def _keep_aside(folders: Sequence[Path], data: bytes) -> None:
-    """A disk may take its time, and the host has none."""
-    spawn(asyncio.to_thread(keep_list, folders, data))
-
-
-def keep_list(folders: Sequence[Path], data: bytes) -> None:
-    """Keep a list for the next life; who has keys of a service may not write to their folder."""
-    for place in folders:
-        with suppress(OutputFileError):
-            folder.write_list(place, data)
-            return

@@ -144,6 +144,7 @@ def test_all_that_a_host_tells_as_json_and_as_a_table(capsys):
             "lease": None,
             "paused": False,
             "stopped": "",
+            "unkept": "",
             "journal": None,
             "begun": [],
             "reserved": [],

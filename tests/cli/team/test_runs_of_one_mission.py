@@ -9,6 +9,8 @@ from pathlib import Path
 
 import pytest
 
+from lfield.authority.identity import Right
+
 pytestmark = pytest.mark.process
 
 PROGRAM = """
@@ -121,13 +123,32 @@ def test_the_one_mission_that_runs_is_asked_without_its_name(lfield, own, missio
     assert asked.out[0] == "from the running team: 2 of 2 hosts answered", asked.said
 
 
-def test_a_run_without_a_folder_says_so_and_goes_on(lfield, own, mission):
+def test_a_run_that_no_command_could_find_does_not_start(lfield, own, mission):
+    """Nobody else has its keys: whoever makes its folder first would have it fly without a stop."""
+    place = Path(own["XDG_RUNTIME_DIR"]) / "lfield"
+    place.write_text("in the way\n")
+    alone = lfield.mission(PROGRAM, "//Post:near@alpha\n", name="alone")
+    for words in (("--deploy", mission, "--all"), ("--deploy", alone, "--host", "alpha")):
+        refused = lfield("up", *words, env=own)
+        assert lfield.status(refused) == 73, refused.said
+        assert refused.err == [
+            f"lfield: cannot write {place}: it is not a folder; no command could find what runs, to stop it: "
+            "set XDG_RUNTIME_DIR to another folder of your own, or remove what is in the way"
+        ]
+
+
+def test_a_host_with_keys_that_no_command_here_can_find_says_so_and_goes_on(lfield, own, mission):
     (Path(own["XDG_RUNTIME_DIR"]) / "lfield").write_text("in the way\n")
-    run = up_all(lfield, own, mission)
-    (said,) = [line for line in run.err if "need --map" in line]
-    assert re.fullmatch(
-        "lfield: ps, query and estop need --map to find these hosts: .*: it is not a folder", said
-    )
+    maps = lfield.maps(["alpha", "bravo"])
+    lfield.keys.put("me", lfield.keys.made("person", "anna", Right.STOP, Right.COMMAND))
+    words = ("--host", "alpha", "--first-start", "--volatile", *maps)
+    run = lfield.start("up", "--deploy", mission, *words, env=own)
+    said = run.wait_for("over the network only").string
+    assert said.startswith("lfield: commands find alpha over the network only, its mission named and with ")
+    assert said.endswith("it is not a folder")
+    run.wait_for("posted")
+    stopped = lfield("estop", "--deploy", mission, *maps, "--no-wait", env=own)
+    assert "alpha: has no devices that move" in stopped.out, stopped.said
 
 
 @pytest.mark.parametrize(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 
+import msgspec
 import pytest
 
 from lfield.authority.admission import Judged
@@ -14,6 +15,7 @@ from lfield.errors import GreetingError
 from lfield.operator.ask import STATUS, ask, emergency_stop, pause
 from lfield.simulate import network
 from lfield.testing.keys import Keyring
+from lfield.wire.messages import Hello
 from lfield.wire.observing import EmergencyStopped
 
 PROGRAM = """
@@ -103,5 +105,35 @@ def test_others_are_whoever_has_no_line(fleet, named):
         await up(team, named, PEOPLE + "  others: [stop]\n")
         with pytest.raises(GreetingError, match=r"carl may not operate .*:4 gives others stop"):
             await asked(team, "carl", emergency_stop("", lift=True))
+
+    fleet(story)
+
+
+class Greeted:
+    """Whoever calls, and keeps the greeting that comes."""
+
+    def __init__(self) -> None:
+        self.hello: Hello | None = None
+
+    def on_message(self, link, message):
+        self.hello = self.hello or message
+
+    def on_closed(self, link, error):
+        pass
+
+
+def test_a_greeting_tells_nobody_but_hosts_of_the_mission(fleet, named):
+    """Who may look asks, with a right that this mission may take away."""
+
+    async def story(team):
+        alpha = await up(team, named, PEOPLE)
+        for name in ("bob", "anna"):
+            heard = Greeted()
+            await team.network.transport(name).connect("alpha:8181", heard)
+            await team.until(lambda heard=heard: heard.hello)
+            own = alpha.host.hello()
+            said = msgspec.structs.replace(heard.hello, time=0.0)
+            assert said == Hello("host", "alpha", own.incarnation)
+            assert own.coordinators
 
     fleet(story)

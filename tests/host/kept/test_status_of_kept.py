@@ -103,6 +103,17 @@ def test_a_coordinator_of_another_program_is_parked_and_explained(fleet):
     fleet(story)
 
 
+def test_a_revocation_list_that_is_not_kept_is_told(fleet):
+    async def story(team):
+        (home,) = await team.up(team.mission(PROGRAM, DEPLOYMENT))
+        assert "in trouble" not in shown(home)
+        home.host.options.admission.unkept = "revocation list 3 is not kept: the disk is full"
+        assert "home is in trouble: revocation list 3 is not kept: the disk is full" in shown(home)
+        assert as_data({"home": home.host.status()})["home"]["unkept"].startswith("revocation list 3")
+
+    fleet(story)
+
+
 def test_a_host_that_keeps_nothing_says_so(fleet):
     async def story(team):
         (home,) = await team.up(team.mission(PROGRAM, DEPLOYMENT))

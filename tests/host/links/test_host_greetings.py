@@ -252,7 +252,7 @@ def test_a_host_without_its_door_says_so_and_runs(fleet):
         mission = team.mission(PROGRAM, DEPLOYMENT)
         await team.up(mission, "bravo")
         (alpha,) = await team.up(mission, "alpha", door="bravo:8181")
-        assert _told(alpha, "ps, query and estop need --map to find this host: ")
+        assert _told(alpha, "commands find this host over the network only, with a person's keys: ")
         assert await team.ended("tom") == "done"
 
     fleet(story)

@@ -6,6 +6,7 @@ import asyncio
 import time
 from dataclasses import replace
 
+import msgspec
 import pytest
 
 from lfield.authority.admission import Judged
@@ -18,7 +19,11 @@ from lfield.operator.ask import STATUS, ask, emergency_stop
 from lfield.simulate import network
 from lfield.simulate.time import LoopClock
 from lfield.testing.keys import Keyring
-from lfield.wire.messages import Revocations
+from lfield.wire.messages import Hello, Refuse, Revocations
+from lfield.wire.observing import EmergencyStop
+from lfield.wire.watching import Watch
+
+OBSERVER = Hello("observer", "observer", 0)
 
 #: A coordinator that ends when it is told nothing.
 PROGRAM = """
@@ -151,6 +156,35 @@ def test_a_revocation_list_travels_with_greetings_and_is_kept(fleet, judges):
     fleet(story)
 
 
+@pytest.mark.parametrize(("first", "second"), [(7, 8), (7, 7), (8, 7)])
+def test_what_any_list_has_revoked_stays_so_and_where_lists_differ_it_is_told(fleet, judges, first, second):
+    """As where a copy of the authority was put back, from before the first."""
+
+    async def story(team):
+        alpha, bravo = await both_up(team, judges, ENDLESS)
+        await team.until(lambda: linked(alpha))
+        desk = await _looks(team, "desk")
+        for number, serial in ((first, "aa11"), (second, "bb22"), (second, "bb22")):
+            desk.link.send(Revocations(judges.list(number, serial)))
+        missing, has, newest = ("aa11", first, second) if second > first else ("bb22", second, first)
+        other = f"list {has}" if first != second else "another one of that number"
+        line = f"list {newest} does not revoke {missing}, which {other} does"
+        for host in (alpha, bravo):
+            await team.until(lambda host=host: line in host.log)
+            await asyncio.sleep(5.0)
+            assert host.log.count(line) == 1
+            assert f"'lfield keys revoke serial {missing}'" in host.log
+            admission = host.host.options.admission
+            assert (admission.number, admission.revoked.serials) == (newest, {"aa11", "bb22"})
+            assert admission.list == judges.list(newest, "aa11" if newest == first else "bb22")
+        both = judges.list(9, "aa11", "bb22")
+        desk.link.send(Revocations(both))
+        await team.until(lambda: "revocation list 9 has come\n" in bravo.log)
+        assert judges.kept[-2:] == [both, both]
+
+    fleet(story)
+
+
 def test_a_revoked_peer_loses_its_link_unless_something_flies(fleet, judges):
     async def story(team):
         for deployment, stays in ((DONE, False), (ENDLESS, True)):
@@ -176,6 +210,54 @@ def test_a_revoked_host_is_not_linked_anew_even_in_flight(fleet, judges):
         team.network.cut("alpha", "bravo")
         await asyncio.sleep(20.0)
         assert not linked(alpha)
+
+    fleet(story)
+
+
+def test_a_revoked_host_keeps_no_link_on_which_it_only_looks_even_in_flight(fleet, judges):
+    async def story(team):
+        alpha, _ = await both_up(team, judges, ENDLESS)
+        await team.until(lambda: linked(alpha))
+        looks = await _looks(team, "bravo", Watch())
+        desk = await _looks(team, "desk")
+        desk.link.send(Revocations(judges.list(7, judges.who["bravo"].serial)))
+        await team.until(lambda: looks.over)
+        assert "the keys of host bravo are revoked (list 7)" in looks.refused
+        assert linked(alpha), "the link of the host itself stays, to finish"
+        assert not desk.over
+
+    fleet(story)
+
+
+def test_a_link_that_is_not_taken_yet_when_the_list_comes_is_none(fleet, judges):
+    async def story(team):
+        (alpha,) = await team.up(team.mission(PROGRAM, ENDLESS), "alpha", admission=judges.admission("alpha"))
+        slow = await _looks(team, "bravo", greets=alpha.host.hello())
+        await team.until(lambda: slow.heard)
+        await _says(team, judges.list(7, judges.who["bravo"].serial))
+        await team.until(lambda: slow.over)
+        assert "are revoked (list 7)" in slow.refused
+        assert not linked(alpha)
+
+    fleet(story)
+
+
+@pytest.mark.parametrize("name", ["bravo", "desk"])
+def test_whose_certificate_ends_in_flight_keeps_the_link_to_look_and_stop(fleet, judges, name):
+    async def story(team):
+        judges.ends(name, 5.0)
+        alpha, _ = await both_up(team, judges, ENDLESS)
+        await team.until(lambda: linked(alpha))
+        looks, lifts = [await _looks(team, name) for _ in range(2)]
+        await asyncio.sleep(30.0)
+        assert not looks.over
+        lifts.link.send(EmergencyStop("", lift=True))
+        await team.until(lambda: lifts.over)
+        assert ("may only look and stop" if name == "desk" else "a person has it") in lifts.refused
+        looks.link.send(EmergencyStop("enough"))
+        await team.until(lambda: looks.over)
+        assert f"the certificate of {judges.who[name]} ended" in looks.refused
+        assert "EMERGENCY STOP" in alpha.log
 
     fleet(story)
 
@@ -235,21 +317,34 @@ def test_a_clock_that_stopped_years_ago_goes_by_what_the_authority_and_the_team_
     fleet(story)
 
 
-class Idle:
-    """Keeps its link and hears nothing."""
+class Looker:
+    """Keeps its link, and notes how that ends."""
+
+    def __init__(self) -> None:
+        self.refused, self.heard, self.over = "", False, False
 
     def on_message(self, link, message):
+        self.heard = True
         link.greeted("host")
+        if isinstance(message, Refuse):
+            self.refused = message.reason
 
     def on_closed(self, link, error):
-        pass
+        self.over = True
+
+
+async def _looks(team, name, *words, greets=None):
+    """Somebody who has a link to alpha, as an observer; or `greets` so and then says nothing more."""
+    looker = Looker()
+    looker.link = await team.network.transport(name).connect("alpha:8181", looker)
+    for message in (
+        msgspec.structs.replace(greets, host=name, incarnation=9) if greets else OBSERVER,
+        *words,
+    ):
+        looker.link.send(message)
+    return looker
 
 
 async def _says(team, data):
     """A person brings a revocation list."""
-    from lfield.wire.messages import Hello
-
-    link = await team.network.transport("desk").connect("alpha:8181", Idle())
-    link.send(Hello("observer", "observer", 0))
-    link.send(Revocations(data))
-    return link
+    return (await _looks(team, "desk", Revocations(data))).link

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import time
 from dataclasses import replace
 from functools import partial
@@ -10,11 +11,15 @@ import pytest
 
 from lfield.authority import folder
 from lfield.authority.admission import Judged
+from lfield.authority.reading import identity_in
 from lfield.clock import ManualClock
 from lfield.errors import KeysError, UsageError
-from lfield.host.process.proving import Proof, admitted, insist_on_keys, keep_list
+from lfield.host.process import own_list
+from lfield.host.process.own_list import keep_list
+from lfield.host.process.proving import Proof, admitted, insist_on_keys
 from lfield.net.tls import Tls
 from lfield.testing.keys import LASTS, Keyring
+from lfield.wire.messages import Hello
 
 DAY = 86400.0
 
@@ -83,10 +88,11 @@ def test_the_newest_list_counts_wherever_it_is_and_a_new_one_is_kept(ring, tmp_p
     folder.write_list(kept, ring.listed(5, "fe"))
     admission = judged(Proof(keys, (own, kept)))
     admission.keep = partial(keep_list, (own, kept))
-    assert (admission.number, admission.revoked.serials) == (5, frozenset({"fe"}))
-    assert admission.newer(ring.listed(6, "fd"))
+    assert (admission.number, admission.revoked.serials) == (5, frozenset({"fe", "ff"}))
+    assert admission.news(ring.listed(6, "fd", "fe", "ff")) == "revocation list 6 has come"
     assert judged(Proof(folder.read(own, "host"))).number == 6
-    assert not admission.newer(ring.listed(6, "fc")), "a list of the same number is no newer one"
+    assert not admission.news(ring.listed(5)), "an older one that revokes nobody else"
+    assert folder.read_list(own) == admission.list
 
 
 def test_where_the_keys_are_of_a_service_a_list_is_kept_elsewhere(ring, tmp_path):
@@ -95,8 +101,52 @@ def test_where_the_keys_are_of_a_service_a_list_is_kept_elsewhere(ring, tmp_path
     unwritable.write_text("no folder can be made here")
     admission = judged(Proof(keys, (kept,)))
     admission.keep = partial(keep_list, (unwritable / "keys", kept))
-    assert admission.newer(ring.listed(1, "ff"))
+    assert admission.news(ring.listed(1, "ff"))
     assert folder.read_list(kept) == admission.list
+
+
+@pytest.mark.parametrize("length", [0, 100])
+def test_a_list_that_was_kept_and_is_damaged_is_named(ring, tmp_path, length):
+    kept = tmp_path / "kept"
+    folder.write_list(kept, ring.listed(5, "fe"))
+    path = kept / "revoked.crl"
+    path.write_bytes(path.read_bytes()[:length])
+    with pytest.raises(KeysError, match=f"{path}.* copy it again"):
+        judged(Proof(ring.made("host", "alpha"), (kept,)))
+
+
+def test_a_list_that_cannot_be_kept_is_told_and_tried_again(ring, tmp_path, monkeypatch):
+    """Whom it revokes this host would let in after a restart."""
+    monkeypatch.setattr(own_list, "AGAIN", 0.001)
+    keys, kept, lines = ring.made("host", "alpha"), tmp_path / "kept", []
+    tries = []
+
+    def keep(folders, data):
+        tries.append(data)
+        return keep_list(folders, data)
+
+    monkeypatch.setattr(own_list, "keep_list", keep)
+    admission = judged(Proof(keys, (kept,)))
+    admission.note = lines.append
+    anna = identity_in(ring.made("person", "anna").certificate, keys.authority)
+    kept.write_text("no folder can be made here")
+
+    async def story():
+        admission.greeted(anna, Hello("observer", "observer", 0))
+        admission.news(ring.listed(1, anna.serial, "ff"))
+        while len(tries) < 5:
+            await asyncio.sleep(0.001)
+        assert lines == [admission.unkept]
+        assert f"revocation list 1 is not kept: cannot write {kept}" in admission.unkept
+        assert "After a restart this host would let in whom it revokes (anna):" in admission.unkept
+        admission.news(newest := ring.listed(2, anna.serial, "ff", "fe"))
+        kept.unlink()
+        while admission.unkept:
+            await asyncio.sleep(0.001)
+        assert lines[-1] == "revocation list 2 is kept now"
+        assert folder.read_list(kept) == newest
+
+    asyncio.run(story())
 
 
 def test_a_revoked_host_does_not_begin(ring):

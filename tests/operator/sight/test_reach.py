@@ -16,7 +16,7 @@ from lfield.simulate.time import run_jumping
 
 def party(name: str, mission: str, *hosts: str) -> Party:
     addresses = {host: f"unix:/run/{name}/{host}.sock" for host in hosts}
-    note = Note("m.dL", mission * 64, "me", 1, 0.0, 1.0, {host: f"{host}:1" for host in hosts}, {})
+    note = Note("m.dL", mission * 64, 1, 0.0, 1.0, {host: f"{host}:1" for host in hosts}, {})
     return Party((Run(Path("/run") / name, note),), addresses)
 
 

@@ -57,13 +57,11 @@ class Reach:
         return ()
 
     def _take(self, parties: Sequence[Party]) -> None:
-        """Of several runs of the mission the one that was followed, or else the newest, which is the last."""
-        own = [party for party in parties if _mission(party) == _mission(self._party)]
+        """Of several runs of the mission the one that was followed, or else the newest, which is the last.
+
+        One of another user does not take the place of one that is believed.
+        """
+        own = [party for party in parties if party.mission == self._party.mission]
         if own:
             same = [party for party in own if party.id == self._party.id]
             self._party = (same or own)[-1]
-
-
-def _mission(party: Party) -> str:
-    """What a party runs; '' for one that was named and that nobody runs here, which is asked for alone."""
-    return party.runs[0].note.deployment if party.runs else ""

@@ -1,0 +1,177 @@
+"""Hosts that are asked since another user says that they are there: beside, some at a time, not for long."""
+
+from __future__ import annotations
+
+import asyncio
+import gc
+import socket
+import tempfile
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+import pytest
+
+from lfield.errors import AddressError, NobodyListens
+from lfield.net.tcp import TcpTransport
+from lfield.net.transport import is_number
+from lfield.operator import ask
+from lfield.operator.addressed import Party, Place
+from lfield.operator.ask import STATUS, Request, ask_all, asked_in_turn, unheard
+from lfield.operator.runs import Note, Run
+from lfield.simulate.time import run_jumping
+from lfield.wire.observing import Status, StatusRequest
+
+
+class Doors:
+    """Where nobody answers: at once where nobody `listens`, else never. Counts who is asked at a time."""
+
+    def __init__(self, listens: Callable[[str], bool]) -> None:
+        self._listens = listens
+        self.asked: list[str] = []
+        self.now, self.most = 0, 0
+
+    async def connect(self, address, handler):
+        self.asked.append(address)
+        self.now += 1
+        self.most = max(self.most, self.now)
+        try:
+            if self._listens(address):
+                await asyncio.Event().wait()
+            raise NobodyListens(address)
+        finally:
+            self.now -= 1
+
+    async def listen(self, address, on_link):
+        raise NotImplementedError
+
+
+def own(count: int) -> dict[Place, str]:
+    return {Place("tour-1", f"h{number}"): f"unix:/own/{number}" for number in range(count)}
+
+
+def claimed(count: int, user: str = "mallory") -> dict[Place, str]:
+    return {Place(f"{user}/tour-1", f"h{number}", user): f"unix:/{user}/{number}" for number in range(count)}
+
+
+def answers(doors: Doors, places: Mapping[Place, str]) -> tuple[float, dict[Place, object]]:
+    """What comes of asking, and how long it takes in seconds."""
+
+    async def main():
+        began = asyncio.get_running_loop().time()
+        found = await ask_all(doors, places, STATUS)
+        return asyncio.get_running_loop().time() - began, found
+
+    return run_jumping(main())
+
+
+def mute(address: str) -> bool:
+    return "mallory" in address
+
+
+def test_thousands_of_doors_that_never_answer_cost_the_time_of_one():
+    doors = Doors(mute)
+    took, found = answers(doors, claimed(4000) | own(3))
+    assert took == pytest.approx(STATUS.bound)
+    assert doors.most <= ask.BESIDE + 3
+    assert len(doors.asked) <= ask.BESIDE + 3
+    assert [type(found[place]) for place in own(3)] == [NobodyListens] * 3
+    assert "have not all answered within 2 s" in str(found[Place("mallory/tour-1", "h9", "mallory")])
+
+
+def test_what_is_believed_is_asked_first():
+    doors = Doors(mute)
+    answers(doors, claimed(5) | own(3))
+    assert doors.asked[:3] == list(own(3).values())
+
+
+def test_one_other_user_takes_no_time_of_another():
+    doors = Doors(mute)
+    _, found = answers(doors, claimed(4000) | claimed(3, "ann"))
+    assert [type(found[place]) for place in claimed(3, "ann")] == [NobodyListens] * 3
+    assert doors.most <= ask.BESIDE
+
+
+def test_a_large_team_is_asked_some_hosts_at_a_time():
+    doors = Doors(lambda _: False)
+    _, found = answers(doors, own(ask.AT_ONCE + 100))
+    assert len(found) == ask.AT_ONCE + 100
+    assert doors.most <= ask.AT_ONCE
+
+
+def test_no_name_is_looked_up_because_another_user_says_so():
+    doors = Doors(lambda _: False)
+    named, numbered = Place("mallory/tour-1", "a", "mallory"), Place("mallory/tour-1", "b", "mallory")
+    _, found = answers(doors, {named: "slow.example:1", numbered: "10.0.0.2:1"})
+    assert doors.asked == ["10.0.0.2:1"]
+    assert "name that with --run to ask there" in str(found[named])
+    assert [is_number(text) for text in ("[fe80::1]:7", "10.0.0.2", "robot:1", "[", "")] == [
+        True,
+        True,
+        False,
+        False,
+        False,
+    ]
+
+
+def test_of_many_hosts_that_another_user_claims_there_is_one_line():
+    names = {place: f"{place.run}/{place.host}" for place in (*claimed(9), *own(9), *claimed(2, "ann"))}
+    found = {place: NobodyListens("x") for place in names}
+    said = list(unheard(found, names))
+    assert said == [
+        "9 hosts of mallory/tour-1",
+        *(f"tour-1/h{number}" for number in range(9)),
+        "ann/tour-1/h0",
+        "ann/tour-1/h1",
+    ]
+
+
+# --- with real sockets ----------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def doors():
+    """A folder with a door at which somebody listens who never takes a call, as the note of a run has it."""
+    with tempfile.TemporaryDirectory(prefix="lf-") as path, socket.socket(socket.AF_UNIX) as listening:
+        listening.bind(f"{path}/x.sock")
+        listening.listen(4096)
+        yield Path(path)
+
+
+def run_in(folder: Path, count: int, **whose) -> Party:
+    hosts = [f"h{number}" for number in range(count)]
+    note = Note("m.dL", "d" * 64, 1, 0.0, 1.0, dict.fromkeys(hosts, "127.0.0.1:1"), {})
+    run = Run(folder, note, **whose)
+    return Party((run,), dict.fromkeys(hosts, f"unix:{folder}/x.sock"))
+
+
+def test_what_is_believed_is_told_before_others_have_answered(doors, tmp_path):
+    quick = Request(StatusRequest(), Status, 0.3)
+    parties = [run_in(doors, 600, owner="mallory", is_foreign=True), run_in(tmp_path, 2)]
+    turns = asked_in_turn(parties, quick)
+    first = next(turns)
+    assert [type(answer) for answer in first.values()] == [NobodyListens] * 2
+    (rest,) = turns
+    assert len(rest) == 600
+    assert all(isinstance(answer, AddressError) for answer in rest.values())
+
+
+def test_nothing_is_left_behind_of_links_that_end_before_they_are_there(doors):
+    """A future with an error that nobody has taken is told by Python itself, on stderr."""
+    said: list[str] = []
+
+    class Ending(TcpTransport):
+        async def connect(self, address, handler):
+            handler.on_closed(None, NobodyListens(address))
+            raise AddressError(address, "no answer within 2 s")
+
+    async def main():
+        asyncio.get_running_loop().set_exception_handler(lambda _, context: said.append(context["message"]))
+        found = await ask_all(Ending(1 << 20), {"a": f"unix:{doors}/x.sock"}, STATUS)
+        # An error keeps what it came through.
+        kinds = [type(answer) for answer in found.values()]
+        del found
+        gc.collect()
+        return kinds
+
+    assert asyncio.run(main()) == [AddressError]
+    assert said == []

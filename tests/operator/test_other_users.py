@@ -1,0 +1,106 @@
+"""What root's commands make of runs that other users say there are."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import msgspec
+import pytest
+
+from lfield.cli.main import main
+from lfield.cli.team.estop import way_down
+from lfield.operator import runs
+from lfield.operator.addressed import Party, open_team
+from lfield.operator.descent import Descent
+from lfield.operator.runs import Note, Run
+
+
+def claimed(*hosts: str, mission="/m/tour.dL", rest_within=60.0) -> Run:
+    """A run of mallory, who listens nowhere."""
+    doors = {host: f"{number}.sock" for number, host in enumerate(hosts)}
+    note = Note(mission, "d" * 64, 7, 1.0, rest_within, dict.fromkeys(hosts, "127.0.0.1:1"), doors)
+    return Run(Path("/nowhere/tour-0a1b2c3d"), note, "mallory", is_foreign=True)
+
+
+@pytest.fixture
+def there(monkeypatch):
+    """Have commands find these runs."""
+
+    def found(*all: Run) -> None:
+        monkeypatch.setattr(runs, "runs_here", lambda: list(all))
+
+    return found
+
+
+def test_a_note_orders_no_terminal(there, capsys):
+    there(claimed("a\x1b[31m", mission="/m/\x1b]0;mine\x07.dL"))
+    for command in ("ps", "estop", "resume", "pause", "recover"):
+        assert main([command, *(["walk"] if command == "recover" else [])]) in (3, 69)
+        said = "".join(capsys.readouterr())
+        assert "a\\u{1b}[31m" in said
+        assert "\x1b" not in said
+        assert "\x07" not in said
+
+
+def test_a_note_with_thousands_of_hosts_is_a_few_lines(there, capsys):
+    there(claimed(*(f"h{number}" for number in range(4000))))
+    for command, status in (("ps", 69), ("estop", 3)):
+        assert main([command]) == status
+        said = capsys.readouterr()
+        assert len(said.out) < 6000
+        (line,) = said.err.splitlines()
+        assert line.startswith("4000 hosts of mallory/tour-0a1b2c3d: ")
+
+
+def test_events_follow_some_hosts_of_another_user(there, capsys):
+    there(claimed(*(f"h{number}" for number in range(40))))
+    assert main(["events", "--no-follow"]) == 69
+    said = capsys.readouterr().err
+    assert "lfield: 8 hosts of user mallory are not heard: name a run with --run" in said
+    assert "h31: not heard" in said
+    assert "h32" not in said
+
+
+@pytest.mark.parametrize("words", [("query", "Lift"), ("watch",)])
+def test_what_another_user_names_is_not_opened(there, capsys, tmp_path, words):
+    fifo = tmp_path / "tour.dL"
+    os.mkfifo(fifo)
+    there(claimed("alpha", mission=str(fifo)))
+    for more in ((), ("--run", "0a1b2c3d")):
+        assert main([*words, *more]) == 64
+        assert capsys.readouterr().err == (
+            "lfield: only other users run missions here, name one with its file and --run: "
+            f"mallory/tour-0a1b2c3d ({fifo})\n"
+        )
+
+
+def test_a_mission_that_is_named_is_asked_where_it_says_and_others_are_named(there, capsys, tmp_path):
+    file = tmp_path / "tour.dL"
+    file.write_text("//Post:near@localhost:1\n")
+    (tmp_path / "tour.L").write_text("resource Post {}\n")
+    (tmp_path / "tour.capabilities.yaml").write_text("registry: 1\nproviders: {Post: {serves: {Hold: {}}}}\n")
+    false = claimed("localhost")
+    digest = open_team(file).deployment.hex()
+    there(
+        Run(false.folder, msgspec.structs.replace(false.note, deployment=digest), "mallory", is_foreign=True)
+    )
+    main(["query", "Hold", str(file)])
+    said = capsys.readouterr().err
+    assert "lfield: not asked is what other users run: --run names mallory/tour-0a1b2c3d" in said
+    assert "/nowhere" not in said
+
+
+def test_the_way_down_is_not_looked_at_for_as_long_as_another_user_says(monkeypatch):
+    given = []
+
+    class Given(Descent):
+        def __init__(self, within: float, now: float) -> None:
+            super().__init__(within, now)
+            given.append(within)
+
+    monkeypatch.setattr("lfield.operator.descent.Descent", Given)
+    for rest_within in (90.0, 1e6):
+        run = claimed("alpha", rest_within=rest_within)
+        assert way_down([Party((run,), {"alpha": run.door("alpha")})], {}, {}, None) == 0
+    assert given == [90.0, 120.0]
