@@ -7,7 +7,7 @@ and which hosts are not heard, comes in between as a `Notice`.
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator, Awaitable, Callable, Mapping, Sequence
+from collections.abc import AsyncIterator, Callable, Mapping, Sequence
 from contextlib import asynccontextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -148,9 +148,17 @@ async def ears(
     for party in parties:
         called = {place.host: names[place] for place in party.places if place in names}
         part = Listening(called, clock)
-        reach: Callable[[str], Awaitable[str]] = Reach(party, look)
+        reach = Reach(party, look)
         follower = Follower(
-            transport, list(called), reach, part, clock, since=since, telemetry=telemetry, brings=brings
+            transport,
+            list(called),
+            reach,
+            part,
+            clock,
+            since=since,
+            telemetry=telemetry,
+            brings=brings,
+            hint=reach.hint,
         )
         parts.append(part)
         followers.append(follower.run())

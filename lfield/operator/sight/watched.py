@@ -107,6 +107,8 @@ async def watched(
         return read_asked(path, team)
 
     shown.actions = Orders(transport, reach, shown.picture.answered, team, asked, own, brings, access=access)
-    follower = Follower(transport, reach.hosts, reach, shown, clock, telemetry=RATE, brings=brings)
+    follower = Follower(
+        transport, reach.hosts, reach, shown, clock, telemetry=RATE, brings=brings, hint=reach.hint
+    )
     async with beside(follower.run(), shown.tick()):
         yield shown

@@ -15,6 +15,8 @@ from lfield.operator.addressed import Party
 
 #: Runs are looked for once in so many seconds, however many hosts are missed.
 LOOKED_EVERY = 1.0
+#: What else can be the matter with a host that is not found.
+NOT_HERE = "this mission does not run on this computer (yet)"
 
 
 class Reach:
@@ -35,6 +37,10 @@ class Reach:
     def addresses(self) -> Mapping[str, str]:
         """Where they were found last."""
         return self._party.addresses
+
+    def hint(self) -> str:
+        """What to say of a host that is not where it was looked for; '' for nothing more."""
+        return "" if self._party.runs else NOT_HERE
 
     async def __call__(self, host: str) -> str:
         """Where a host is now. Raises AddressError for one that the mission has no more."""
@@ -57,13 +63,16 @@ class Reach:
         return ()
 
     def _take(self, parties: Sequence[Party]) -> None:
-        """Of several runs of the mission the one that was followed, or else the newest, which is the last."""
-        own = [party for party in parties if _mission(party) == _mission(self._party)]
+        """Of several runs of the mission the one that was followed, or else the newest, which is the last.
+
+        Where none was followed yet, whatever runs now is of the mission that was named.
+        """
+        own = [p for p in parties if p.runs and _mission(self._party) in ("", _mission(p))]
         if own:
             same = [party for party in own if party.id == self._party.id]
             self._party = (same or own)[-1]
 
 
 def _mission(party: Party) -> str:
-    """What a party runs; '' for one that was named and that nobody runs here, which is asked for alone."""
+    """What a party runs; '' for one that was named and that nobody runs here."""
     return party.runs[0].note.deployment if party.runs else ""
