@@ -92,6 +92,40 @@ def test_a_walk_is_seen_hop_by_hop_to_its_end(fleet) -> None:
     fleet(story)
 
 
+THERE_AND_BACK = """
+resource Post {
+    init(string[] arg) { }
+    portal visit() { }
+}
+coordinator Walker {
+    init(string[] arg) {
+        Post[] posts = findPost();
+        int n = 0;
+        while (n < 20) {
+            posts[n % 2].visit();
+            n = n + 1;
+        }
+    }
+}
+"""
+
+
+def test_every_hop_has_its_duration_though_who_comes_back_at_once_brings_its_own_confirmation(fleet) -> None:
+    async def story(fleet) -> None:
+        mission = fleet.mission(THERE_AND_BACK, TEAM)
+        await fleet.up(mission)
+        async with followed(fleet, mission, since=0) as shown:
+            await fleet.until(lambda: shown.seen().agents["walker"].finished)
+            await asyncio.sleep(3.0)
+            told = [dated.event for dated in shown.timeline.given()]
+            hops = {kind: [e.what.sequence for e in told if e.kind == kind] for kind in ("left", "hopped")}
+            assert len(hops["left"]) == 19
+            assert hops["hopped"] == hops["left"]
+            assert all(e.what.seconds is not None for e in told if e.kind == "hopped")
+
+    fleet(story)
+
+
 def test_a_host_that_ends_stays_in_the_picture_and_its_next_life_is_another(fleet) -> None:
     async def story(fleet) -> None:
         mission = fleet.mission(PROGRAM, TEAM)
