@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from msgspec import Struct
 
-from lfield.host.sight.budget import BURST_OF_HOPS
+from lfield.host.sight.budget import HOPS, HOPS_UNWATCHED
 from lfield.host.sight.teller import Teller
 from lfield.mission.team import Team
 from lfield.mobility import effects as mobile
@@ -38,7 +38,7 @@ class Hops:
     def __init__(self, teller: Teller, machine: Machine, here: str, team: Team) -> None:
         self._teller, self._machine, self._here, self._hosts = teller, machine, here, team.hosts
         self._known = frozenset(member.id for member in team.coordinators)
-        self._budget = teller.budget(BURST_OF_HOPS)
+        self._budget = teller.budget(HOPS, HOPS_UNWATCHED)
         #: The coordinators that came and do not run yet: from whom, and with which header.
         self._coming: dict[str, tuple[str, Transfer]] = {}
         self._away: dict[str, _Away] = {}

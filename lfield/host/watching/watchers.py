@@ -63,6 +63,7 @@ class Watchers:
 
     def last_words(self) -> None:
         """The host ends: tell each watcher what it is owed, as far as it reads, and close its link."""
+        self._teller.settle(at_once=True)
         for link, watcher in list(self._watchers.items()):
             while (batch := self._batch(watcher, max(self._teller.up, watcher.due))) and batch.events:
                 self._send(link, batch)

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import pytest
 
 from lfield.clock import ManualClock
-from lfield.host.sight.budget import BURST_OF_HOPS
+from lfield.host.sight.budget import HOPS_UNWATCHED
 from lfield.host.sight.hops import Hops
 from lfield.host.sight.teller import Teller
 from lfield.mobility.effects import Departed, Finished, InDoubt, Supersede
@@ -108,10 +108,11 @@ def test_a_hop_that_came_to_nothing_is_confirmed_by_nothing_later(rig: Rig, outc
 
 
 def test_a_hop_that_was_not_told_is_not_heard_of(rig: Rig) -> None:
-    for n in range(int(BURST_OF_HOPS) + 5):
+    most = int(HOPS_UNWATCHED.burst)
+    for n in range(most + 5):
         rig.hops.left("b", header(n))
         rig.hops.departed(Departed("w", 1, n, "b"))
-    assert len(rig.told) == 2 * int(BURST_OF_HOPS)
+    assert len(rig.told) == 2 * most
     rig.clock.advance(1.0)
     rig.teller.settle()
     assert rig.last == (0, events.Skipped("left", 5))
