@@ -104,6 +104,7 @@ class Watchers:
                 watcher.sample(now, at, up)
         for link, watcher in list(self._watchers.items()):
             if watcher.has_gone(up):
+                self._send(link, watcher.last(at, up))
                 self._end(link, f"what it watches was not read for {PATIENCE:g} s")
             elif batch := self._batch(watcher, up):
                 self._send(link, batch)

@@ -22,24 +22,33 @@ from lfield.operator.sight.timeline.clocks import WATCHER
 from lfield.operator.sight.timeline.timeline import Dated, Timeline
 from lfield.wire.watching import Events
 
+#: What telemetry of all kinds is called that is lost uncounted.
+TELEMETRY = "telemetry"
+
 #: For so many seconds an event waits for others that may have led to it, and how often it is looked.
 HOLD, LOOK = 0.5, 0.1
 
 
 @dataclass(frozen=True, slots=True)
 class Notice:
-    """Something about a host that is no event: what was lost of these, by kind, or why it is not heard."""
+    """Something about a host that is no event: what was lost, by kind, or why it is not heard.
+
+    None is for what nobody has counted.
+    """
 
     host: str
     text: str
-    lost: Mapping[str, int] = field(default_factory=dict)
+    lost: Mapping[str, int | None] = field(default_factory=dict)
 
 
 class Listening:
-    """The hosts of one party; `names` is what each is called here. Implements `Hearer`."""
+    """The hosts of one party; `names` is what each is called here. Implements `Hearer`.
 
-    def __init__(self, names: Mapping[str, str], clock: Clock) -> None:
-        self._names, self._clock = names, clock
+    `telemetry`: it is wanted, so it is said when some was lost.
+    """
+
+    def __init__(self, names: Mapping[str, str], clock: Clock, *, telemetry: bool = False) -> None:
+        self._names, self._clock, self._telemetry = names, clock, telemetry
         self._timeline = Timeline()
         #: By so much Unix time is ahead of the monotonic clock, here and as long as this lasts.
         self._ahead = clock.time() - clock.monotonic()
@@ -47,6 +56,8 @@ class Listening:
         self._notices: list[Notice] = []
         self._why: dict[str, str] = {}
         self._lives: dict[str, int] = {}
+        #: The hosts that were heard, and then were not.
+        self._cut: set[str] = set()
         #: For each host the number of its last state when it was first heard, and of the last that came.
         self._wanted: dict[str, int] = {}
         self._had: dict[str, int] = {}
@@ -58,6 +69,8 @@ class Listening:
 
     def unlinked(self, host: str, why: str) -> None:
         """See `Hearer.unlinked`: said once for each reason."""
+        if host in self._lives:
+            self._cut.add(host)
         if self._why.get(host) != why:
             self._why[host] = why
             self._notices.append(Notice(self._names[host], f"not heard: {why}"))
@@ -68,6 +81,10 @@ class Listening:
         if self._lives.setdefault(host, batch.incarnation) != batch.incarnation:
             self._lives[host] = batch.incarnation
             self._notices.append(Notice(name, "it was started again"))
+        elif host in self._cut and self._telemetry:
+            text = "telemetry was lost while it was not heard, nobody knows how much"
+            self._notices.append(Notice(name, text, {TELEMETRY: None}))
+        self._cut.discard(host)
         asked = None if took is None else now - took
         self._timeline.heard(host, batch.incarnation, batch.up, now, asked)
         for event in batch.events:
@@ -147,7 +164,7 @@ async def ears(
     transport, brings = observer(own), brought(own)
     for party in parties:
         called = {place.host: names[place] for place in party.places if place in names}
-        part = Listening(called, clock)
+        part = Listening(called, clock, telemetry=telemetry > 0.0)
         reach = Reach(party, look)
         follower = Follower(
             transport,

@@ -181,6 +181,20 @@ def test_who_does_not_read_gets_no_more_than_the_window():
     assert watcher.due <= PATIENCE
 
 
+def test_who_is_let_go_is_told_what_it_has_lost_until_then():
+    stream = Stream()
+    watcher, up, sent = watched(stream, Watch(LIFE, 0, 20.0)), 0.0, []
+    while not watcher.has_gone(up):
+        watcher.sample(sample(fc=up), 1.0, up)
+        sent += filter(None, [batch_of(watcher, up)])
+        up += LEAST
+    told(stream, 3)
+    last = watcher.last(1.7e9 + up, up)
+    assert (last.batch, last.events, last.after, last.latest) == (WINDOW + 1, [], 0, 3)
+    # What is owed still is lost as well.
+    assert last.lost["measured"] + sum(len(b.events) for b in sent) == pytest.approx(up / LEAST, abs=2)
+
+
 def test_who_reads_again_goes_on_without_a_gap():
     stream = Stream()
     watcher = watched(stream)

@@ -54,6 +54,8 @@ def test_what_is_no_number_is_null_in_json() -> None:
 def test_what_was_lost_is_an_object_too() -> None:
     told = json.loads(as_json(Notice("alpha", "events were lost", {"state": 2})))
     assert told == {"host": "alpha", "kind": "lost", "lost": {"state": 2}}
+    uncounted = json.loads(as_json(Notice("alpha", "telemetry was lost", {"telemetry": None})))
+    assert uncounted["lost"] == {"telemetry": None}
 
 
 @pytest.mark.parametrize(
