@@ -99,10 +99,10 @@ _ENDS = {"left": "hopped", "began": "ended", "asked": "answered"}
 
 def _tell_skipped(host: str, what: Skipped, kinds: frozenset[str]) -> None:
     """Where events that are wanted are missing, and the one that says so is not shown."""
-    from lfield.cli.views.event_view import skipped
+    from lfield.operator.sight.picture.loglines import left_out
 
     if kinds & {what.skipped, _ENDS.get(what.skipped, "")}:
-        _tell(host, skipped(f"events of kind '{what.skipped}'", what.count))
+        _tell(host, left_out(f"events of kind '{what.skipped}'", what.count))
 
 
 def _kinds(text: str, known: Sequence[str]) -> frozenset[str]:

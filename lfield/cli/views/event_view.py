@@ -12,7 +12,7 @@ from typing import Any
 import msgspec
 
 from lfield.operator.sight.listening import Notice
-from lfield.operator.sight.picture.loglines import Pieces
+from lfield.operator.sight.picture.loglines import Pieces, left_out
 from lfield.operator.sight.timeline.timeline import Dated
 from lfield.text.visible import in_one_line
 from lfield.wire.events import Came, Hopped, Left, Logged, Measured, Printed, Skipped, Stayed, as_fields
@@ -167,9 +167,4 @@ class LogView:
                 for line in text.splitlines() or [""]:
                     yield f"{head} {in_one_line(line)}"
             case Skipped("printed", count):
-                yield f"{head} {skipped('lines', count)}"
-
-
-def skipped(what: str, count: int) -> str:
-    """What is said of what a host has left out."""
-    return f"{count} {what} were not told: they came too often"
+                yield f"{head} {left_out('lines', count)}"

@@ -7,20 +7,28 @@ and which hosts are not heard, comes in between as a `Notice`.
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator, Callable, Mapping, Sequence
-from contextlib import asynccontextmanager
+from collections import deque
+from collections.abc import AsyncIterator, Awaitable, Callable, Collection, Mapping, Sequence
+from contextlib import asynccontextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from lfield.clock import Clock, SystemClock
+from lfield.net.transport import Transport
 from lfield.operator.addressed import Party, Place
-from lfield.operator.ask import brought, observer, own_keys
+from lfield.operator.ask import Brought, brought, observer, own_keys
 from lfield.operator.sight.following.beside import beside
 from lfield.operator.sight.following.follower import Follower
 from lfield.operator.sight.following.reach import Reach
+from lfield.operator.sight.picture.loglines import MOST_LINES
 from lfield.operator.sight.timeline.clocks import WATCHER
 from lfield.operator.sight.timeline.timeline import Dated, Timeline
 from lfield.wire.watching import Events
+
+#: The kinds of events that make a log.
+SPOKEN = frozenset({"printed", "logged", "skipped"})
+#: Seconds in which hosts have said what they said before.
+PATIENT = 8.0
 
 #: What telemetry of all kinds is called that is lost uncounted.
 TELEMETRY = "telemetry"
@@ -44,11 +52,19 @@ class Notice:
 class Listening:
     """The hosts of one party; `names` is what each is called here. Implements `Hearer`.
 
-    `telemetry`: it is wanted, so it is said when some was lost.
+    `telemetry`: it is wanted, so it is said when some was lost. `kinds` are the events that are wanted, None
+    for all.
     """
 
-    def __init__(self, names: Mapping[str, str], clock: Clock, *, telemetry: bool = False) -> None:
-        self._names, self._clock, self._telemetry = names, clock, telemetry
+    def __init__(
+        self,
+        names: Mapping[str, str],
+        clock: Clock,
+        *,
+        telemetry: bool = False,
+        kinds: Collection[str] | None = None,
+    ) -> None:
+        self._names, self._clock, self._telemetry, self._kinds = names, clock, telemetry, kinds
         self._timeline = Timeline()
         #: By so much Unix time is ahead of the monotonic clock, here and as long as this lasts.
         self._ahead = clock.time() - clock.monotonic()
@@ -88,7 +104,8 @@ class Listening:
         asked = None if took is None else now - took
         self._timeline.heard(host, batch.incarnation, batch.up, now, asked)
         for event in batch.events:
-            self._timeline.add(host, batch.incarnation, event)
+            if self._kinds is None or event.kind in self._kinds:
+                self._timeline.add(host, batch.incarnation, event)
         if batch.lost:
             words = ", ".join(f"{count} of kind '{kind}'" for kind, count in batch.lost.items())
             self._notices.append(Notice(name, f"events were lost: {words}", batch.lost))
@@ -143,6 +160,26 @@ class Ears:
     def unheard(self) -> Sequence[str]:
         """The hosts that were never heard, or not to the end."""
         return [host for part in self._parts for host in part.unheard]
+
+
+async def said_before(
+    transport: Transport,
+    hosts: Sequence[str],
+    reach: Callable[[str], Awaitable[str]],
+    clock: Clock,
+    brings: Brought | None = None,
+) -> list[Dated]:
+    """The last that hosts have said until now, of those that can be heard within a few seconds."""
+    part = Listening({host: host for host in hosts}, clock, kinds=SPOKEN)
+    last: deque[Dated] = deque(maxlen=MOST_LINES)
+    with suppress(TimeoutError):
+        async with (
+            asyncio.timeout(PATIENT),
+            beside(Follower(transport, hosts, reach, part, clock, since=0, brings=brings).run()),
+        ):
+            async for told in Ears([part]).events(follow=False):
+                last += [told] if isinstance(told, Dated) else []
+    return [*last, *(told for told in part.given(everything=True) if isinstance(told, Dated))]
 
 
 @asynccontextmanager

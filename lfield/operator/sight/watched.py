@@ -7,7 +7,7 @@ async with watched(path, team, party, look, keys) as team:
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator, Callable, Sequence
+from collections.abc import AsyncIterator, Awaitable, Callable, Sequence
 from contextlib import asynccontextmanager
 from pathlib import Path
 
@@ -25,10 +25,12 @@ from lfield.operator.sight.actions import Actions
 from lfield.operator.sight.following.beside import beside
 from lfield.operator.sight.following.follower import Follower
 from lfield.operator.sight.following.reach import Reach
+from lfield.operator.sight.listening import said_before
 from lfield.operator.sight.orders import Orders
 from lfield.operator.sight.picture.roll import Roll, roll_of
 from lfield.operator.sight.picture.team_picture import Picture
 from lfield.operator.sight.seen import Curve, Seen
+from lfield.operator.sight.timeline.timeline import Dated
 from lfield.wire.watching import Events
 
 #: How often a second each device and agent is told of.
@@ -65,6 +67,13 @@ class Watched:
     def told(self, host: str, batch: Events, took: float | None) -> None:
         """See `Hearer.told`."""
         self.picture.told(host, batch, self._clock.monotonic(), self._clock.time(), took)
+
+    async def begin_log(self, said: Awaitable[Sequence[Dated]]) -> None:
+        """Begin the log with what hosts had said before they were looked at."""
+        self.picture.log_waits()
+        told = await said
+        behind = self._clock.time() - self._clock.monotonic()
+        self.picture.log_begins((d.host, d.incarnation, d.event, d.time - behind) for d in told)
 
     async def tick(self) -> None:
         """Let curves grow until this is cancelled."""
@@ -110,5 +119,6 @@ async def watched(
     follower = Follower(
         transport, reach.hosts, reach, shown, clock, telemetry=RATE, brings=brings, hint=reach.hint
     )
-    async with beside(follower.run(), shown.tick()):
+    past = said_before(transport, reach.hosts, reach, clock, brings)
+    async with beside(shown.begin_log(past), follower.run(), shown.tick()):
         yield shown
