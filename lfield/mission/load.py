@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import os
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
@@ -205,9 +206,15 @@ def _first_fenced(deployment: Deployment, mission: Mission) -> DeployedAgent:
 
 
 def beside(path: Path, suffix: str) -> Path | None:
-    """The mission's file with another suffix, if there is one."""
-    found = path.with_suffix(suffix)
-    return found if found.exists() else None
+    """The mission's file with another suffix, if there is one.
+
+    A link that leads nowhere is one: who has written rules is not to fly without them. Raises InputFileError
+    for a name that is nearly right.
+    """
+    found, nearly = path.with_suffix(suffix), path.with_suffix(suffix.replace(".yaml", ".yml"))
+    if nearly != found and os.path.lexists(nearly):
+        raise InputFileError(str(nearly), f"it is not read under this name: call it {found.name}")
+    return found if os.path.lexists(found) else None
 
 
 def _registry_types(mission: Path | None, deploy: Path | None, plugins: Plugins) -> RegistryTypes:

@@ -42,7 +42,7 @@ def test_the_bounds_of_the_page_are_those_of_the_code():
         f"| {stream.MOST_EVENTS}, and {stream.MOST_BYTES >> 20} MiB",
         f"| {WINDOW}, of {watcher.BATCH_BYTES >> 10} KiB",
         f"not read for {watcher.PATIENCE:g} s",
-        f"one host | {watchers.MOST} |",
+        f"one host | {watchers.MOST};",
         f"| prints | {told(budget.PRINTS)}; one longer than {budget.PIECE} characters",
         f"| hops, and portal calls, while watched | {told(budget.HOPS)} of each |",
         f"| hops while nobody watches | {told(budget.HOPS_UNWATCHED)} |",

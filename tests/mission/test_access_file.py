@@ -160,7 +160,13 @@ def test_a_registry_is_read_for_names_of_capabilities_alone(tmp_path: Path) -> N
         ("people: {anna: stop}", "stop", "'anna' has all or a list of rights", "write [stop]"),
         ("people: {anna: }", "", "'anna' has all or a list of rights, not nothing", "[] is none of them"),
         ('people: {"*": all}', '"*"', "'*' is nobody's name", "write others"),
-        ('people: {"": all}', '""', "a name has 1 to 128 characters", ""),
+        (
+            'people: {"": all}',
+            '""',
+            "nobody's keys have such a name: it has 1 to 128 characters that can be printed",
+            "",
+        ),
+        ('people: {"an\\tna": all}', '"an\\tna"', "nobody's keys have such a name", ""),
         ("people: [anna]", "[anna]", "'people' must be a mapping, not a list", ""),
         ("peple: {}", "peple", "an access file takes no 'peple'", "did you mean 'people'?"),
         ("coordinators: {bos: all}", "bos", "no coordinator 'bos'", "did you mean 'boss'?"),
@@ -222,6 +228,19 @@ def test_a_file_that_cannot_be_read_is_named(tmp_path: Path, capsys: pytest.Capt
     deploy = deployed(tmp_path, "")
     (tmp_path / "mission.access.yaml").unlink()
     (tmp_path / "mission.access.yaml").mkdir()
+    assert main(["check", str(deploy)]) == 66
+    assert "mission.access.yaml" in capsys.readouterr().err
+
+
+def test_a_file_under_a_name_that_is_nearly_right_and_a_link_to_nowhere_are_no_mission_without_rules(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    deploy, rules = deployed(tmp_path, ""), tmp_path / "mission.access.yaml"
+    nearly = rules.rename(rules.with_suffix(".yml"))
+    assert main(["check", str(deploy)]) == 66
+    assert "it is not read under this name: call it mission.access.yaml" in capsys.readouterr().err
+    nearly.unlink()
+    rules.symlink_to(tmp_path / "nowhere")
     assert main(["check", str(deploy)]) == 66
     assert "mission.access.yaml" in capsys.readouterr().err
 

@@ -40,7 +40,6 @@ SMALL = {
     "lfield/operator/web/page.py": "the one page, of the one component",
     "lfield/driver/settings.py": "a value that drivers and hosts share",
     "lfield/operator/sight/following/beside.py": "what fails beside a body of code",
-    "lfield/host/process/leash.py": "what a host hears from whoever started it",
     "lfield/host/process/stop_words.py": "what ends a host",
     "lfield/host/dumping.py": "where the block of a dead agent goes",
     "lfield/host/logbook.py": "the two streams of a host",

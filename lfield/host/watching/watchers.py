@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable
+from collections import Counter
+from collections.abc import Callable, Sequence
 
 from lfield.clock import Clock
 from lfield.devices.guards import Guards
@@ -27,6 +28,16 @@ OFFERS_EVERY = 1.0
 TICK = 0.001
 
 
+def giving_way(watching: Sequence[str], comes: str) -> int | None:
+    """Which place is given to one more who `comes`, of all that are taken; None for none.
+
+    It is the oldest of whoever has the most, if they still have as many as the newcomer then: nobody shuts
+    all others out by watching more than once.
+    """
+    most = max(watching, key=Counter(watching).__getitem__)
+    return watching.index(most) if watching.count(most) > watching.count(comes) + 1 else None
+
+
 class Watchers:
     """Whoever watches a host, by link; `status` is what a snapshot shows."""
 
@@ -42,8 +53,11 @@ class Watchers:
     def watch(self, message: Watch, link: Link) -> None:
         """Somebody wants to be told from now on."""
         if len(self._watchers) >= MOST and link not in self._watchers:
-            self._end(link, f"{MOST} others watch {self._core.name} already")
-            return
+            way = giving_way([str(each.who) for each in self._watchers], str(link.who))
+            if way is None:
+                self._end(link, f"{MOST} others watch {self._core.name} already")
+                return
+            self._end(list(self._watchers)[way], f"others watch {self._core.name} too, and less often")
         teller, before = self._teller, self._watchers.get(link)
         # Nobody can keep a host busy by asking anew.
         begins = teller.up if before is None else max(teller.up, before.next)

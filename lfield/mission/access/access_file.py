@@ -118,8 +118,10 @@ class _Reader:
 
     def _person(self, entry: Entry) -> Person:
         """A person, and what is left of their rights."""
-        if not self._is_starred(entry) and not 0 < len(entry.key) <= MAX_NAME:
-            self._wrong("Y113", f"a name has 1 to {MAX_NAME} characters", entry.key_span, "")
+        name = entry.key
+        if not self._is_starred(entry) and not (0 < len(name) <= MAX_NAME and name.isprintable()):
+            said = f"nobody's keys have such a name: it has 1 to {MAX_NAME} characters that can be printed"
+            self._wrong("Y113", said, entry.key_span, "")
         items = self._listed(entry, "rights")
         rights = Right if items is None else (Right(word) for item in items if (word := self._right(item)))
         return Person(entry.key, tuple(rights), entry.key_span.line)

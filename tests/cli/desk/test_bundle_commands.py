@@ -249,8 +249,8 @@ from lfield.host.logbook import Logbook
 
 note = Logbook.note
 
-def told(self, text):
-    note(self, text)
+def told(self, text, **more):
+    note(self, text, **more)
     if " is up " in text:
         note(self, "loaded: " + " ".join(sorted(sys.modules)))
 

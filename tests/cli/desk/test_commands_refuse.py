@@ -343,4 +343,4 @@ def test_a_missing_vendor_library_names_the_extra_to_install(lfield):
     )  # fmt: skip
     assert lfield.status(done) == 69, done.said
     assert "lfield[mavlink]" in "\n".join(done.err)
-    assert lfield.left() == []
+    assert lfield.all_ended()
