@@ -71,16 +71,18 @@ class Hops:
         came = self._coming.pop(name, None)
         if came is None:
             return
+        is_told, away = self._budget.take("came"), self._away.get(name)
+        if not is_told and away is None:
+            return
         host, header = came
         agent = self._machine.agents.get(name)
         # What came before and was refused is none of this one's.
         if agent is None or (header.generation, header.sequence) != (generation, agent.sequence):
             return
-        away = self._away.get(name)
         if away is not None and away.generation == generation and away.sequence < header.sequence:
             # Who comes back at once brings the news that it was there: its host sends none besides.
             self._arrived(name, away, away.back)
-        if self._budget.take("came"):
+        if is_told:
             what = events.Came(name, generation, header.sequence, host, header.size)
             self._teller.by(name, what, cause=0)
 
