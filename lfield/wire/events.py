@@ -94,8 +94,8 @@ class Came(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag
 
 
 class Hopped(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag="hopped"):
-    """Whoever sent it has heard that it came, so many `seconds` after it had left; None where it left in an
-    earlier life of this host."""
+    """Whoever sent it has heard that it came, so many `seconds` after it had left, by what was first: a
+    confirmation, its coming back, or its end. None where it left in an earlier life of this host."""
 
     agent: Name
     generation: Ordinal

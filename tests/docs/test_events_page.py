@@ -30,14 +30,23 @@ def test_the_page_has_every_kind_with_its_fields(section, kinds):
     assert rows(section) == {kind: KINDS[kind].__struct_fields__ for kind in kinds}
 
 
+def told(allowance):
+    """As the page says it."""
+    return f"{allowance.burst:g} at once and {allowance.rate:g} a second"
+
+
 def test_the_bounds_of_the_page_are_those_of_the_code():
     bounds = PAGE.split("## Bounds\n")[1]
+    assert budget.HOPS == budget.PORTALS
     for bound in (
         f"| {stream.MOST_EVENTS}, and {stream.MOST_BYTES >> 20} MiB",
         f"| {WINDOW}, of {watcher.BATCH_BYTES >> 10} KiB",
         f"not read for {watcher.PATIENCE:g} s",
         f"one host | {watchers.MOST};",
-        f"| {budget.BURST:g} at once and {budget.RATE:g} a second",
+        f"| prints | {told(budget.PRINTS)}; one longer than {budget.PIECE} characters",
+        f"| hops, and portal calls, while watched | {told(budget.HOPS)} of each |",
+        f"| hops while nobody watches | {told(budget.HOPS_UNWATCHED)} |",
+        f"| instructions to devices | {told(budget.INSTRUCTIONS)} |",
     ):
         assert bound in bounds
     assert f"at most {MAX_RATE:g} times a second" in PAGE

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from lfield.operator.addressed import Party, Place
     from lfield.operator.sight.listening import Notice
     from lfield.operator.sight.timeline.timeline import Dated
+    from lfield.wire.events import Skipped
 
 #: How often a second telemetry is told, unless it is chosen, and at most.
 RATE, MAX_RATE = 1.0, 20.0
@@ -67,7 +68,7 @@ def run(args: argparse.Namespace) -> int:
     """Without --no-follow 130, after a Ctrl-C; else 0, and 69 when a host was not heard."""
     from lfield.cli.views import event_view
     from lfield.operator.sight.listening import Notice
-    from lfield.wire.events import KINDS, TELEMETRY
+    from lfield.wire.events import KINDS, TELEMETRY, Skipped
 
     kinds = _kinds(args.kinds, event_view.IN_TABLES if args.csv else tuple(KINDS))
     if not (args.kinds or args.csv or args.json):
@@ -79,6 +80,8 @@ def run(args: argparse.Namespace) -> int:
         if isinstance(told, Notice):
             if args.json and told.lost:
                 yield event_view.as_json(told)
+        elif isinstance(told.event.what, Skipped) and "skipped" not in kinds:
+            _tell_skipped(told.host, told.event.what, kinds)
         elif told.event.kind not in kinds:
             return
         elif args.csv:
@@ -91,6 +94,18 @@ def run(args: argparse.Namespace) -> int:
     since = 0 if args.since is None and args.no_follow else args.since
     rate = args.rate if TELEMETRY & kinds and not args.no_follow else 0.0
     return listen(args, lines, since=since, telemetry=rate, follow=not args.no_follow, only=args.host)
+
+
+#: What is not told either of what was skipped as the first of it was.
+_ENDS = {"left": "hopped", "began": "ended", "asked": "answered"}
+
+
+def _tell_skipped(host: str, what: Skipped, kinds: frozenset[str]) -> None:
+    """Where events that are wanted are missing, and the one that says so is not shown."""
+    from lfield.operator.sight.picture.loglines import left_out
+
+    if kinds & {what.skipped, _ENDS.get(what.skipped, "")}:
+        _tell(host, left_out(f"events of kind '{what.skipped}'", what.count))
 
 
 def _kinds(text: str, known: Sequence[str]) -> frozenset[str]:
@@ -175,9 +190,14 @@ def _bounded(names: dict[Place, str]) -> dict[Place, str]:
 
 def _print(told: Dated | Notice, lines: Callable[[Dated | Notice], Iterable[str]]) -> None:
     from lfield.operator.sight.listening import Notice
-    from lfield.text.visible import in_one_line
 
     if isinstance(told, Notice):
-        print(f"{told.host}: {in_one_line(told.text)}", file=sys.stderr, flush=True)
+        _tell(told.host, told.text)
     for line in lines(told):
         print(line, flush=True)
+
+
+def _tell(host: str, text: str) -> None:
+    from lfield.text.visible import in_one_line
+
+    print(f"{host}: {in_one_line(text)}", file=sys.stderr, flush=True)

@@ -12,10 +12,10 @@ from typing import Any
 import msgspec
 
 from lfield.operator.sight.listening import Notice
-from lfield.operator.sight.picture.loglines import Pieces
+from lfield.operator.sight.picture.loglines import Pieces, left_out
 from lfield.operator.sight.timeline.timeline import Dated
 from lfield.text.visible import in_one_line
-from lfield.wire.events import Came, Hopped, Left, Logged, Measured, Printed, Stayed, as_fields
+from lfield.wire.events import Came, Hopped, Left, Logged, Measured, Printed, Skipped, Stayed, as_fields
 from lfield.wire.fields import Telemetry
 
 #: What a table can have of them: telemetry, a row for each number, and hops.
@@ -166,3 +166,5 @@ class LogView:
             case Logged(text):
                 for line in text.splitlines() or [""]:
                     yield f"{head} {in_one_line(line)}"
+            case Skipped("printed", count):
+                yield f"{head} {left_out('lines', count)}"

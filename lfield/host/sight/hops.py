@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from msgspec import Struct
 
-from lfield.host.sight.budget import BURST_OF_HOPS
+from lfield.host.sight.budget import HOPS, HOPS_UNWATCHED
 from lfield.host.sight.teller import Teller
 from lfield.mission.team import Team
 from lfield.mobility import effects as mobile
@@ -19,12 +19,17 @@ from lfield.wire.fields import MAX_LABEL, age, clip
 
 
 class _Away(Struct):
-    """A hop that has left and is not heard of yet: its name, its event (0: in an earlier life), and when."""
+    """A hop that has left and is not heard of yet: its name, its event (0: in an earlier life), and when.
 
+    `back` is when the coordinator came again, which says as much as a confirmation.
+    """
+
+    to: str
     generation: int
     sequence: int
     number: int
     up: float
+    back: float = 0.0
 
 
 class Hops:
@@ -33,7 +38,7 @@ class Hops:
     def __init__(self, teller: Teller, machine: Machine, here: str, team: Team) -> None:
         self._teller, self._machine, self._here, self._hosts = teller, machine, here, team.hosts
         self._known = frozenset(member.id for member in team.coordinators)
-        self._budget = teller.budget(BURST_OF_HOPS)
+        self._budget = teller.budget(HOPS, HOPS_UNWATCHED)
         #: The coordinators that came and do not run yet: from whom, and with which header.
         self._coming: dict[str, tuple[str, Transfer]] = {}
         self._away: dict[str, _Away] = {}
@@ -52,43 +57,57 @@ class Hops:
         generation, sequence = header.generation, header.sequence
         portal, up = clip(portal, MAX_LABEL), self._teller.up
         what = events.Left(name, generation, sequence, to, resource, portal, header.size)
-        self._away[name] = _Away(generation, sequence, self._teller.by(name, what), up)
+        self._away[name] = _Away(to, generation, sequence, self._teller.by(name, what), up)
 
     def arrives(self, host: str, header: Transfer) -> None:
         """A coordinator came; whether it runs is decided later. Of one that nobody knows nothing is kept."""
         if header.agent in self._known:
             self._coming[header.agent] = host, header
+            if (away := self._away.get(header.agent)) is not None:
+                away.back = self._teller.up
 
     def goes(self, name: str, generation: int) -> None:
         """A coordinator that has come runs here, or one that was kept goes on."""
         came = self._coming.pop(name, None)
-        if came is None or not self._budget.take("came"):
+        if came is None:
+            return
+        is_told, away = self._budget.take("came"), self._away.get(name)
+        if not is_told and away is None:
             return
         host, header = came
         agent = self._machine.agents.get(name)
         # What came before and was refused is none of this one's.
-        if agent is not None and (header.generation, header.sequence) == (generation, agent.sequence):
+        if agent is None or (header.generation, header.sequence) != (generation, agent.sequence):
+            return
+        if away is not None and away.generation == generation and away.sequence < header.sequence:
+            # Who comes back at once brings the news that it was there: its host sends none besides.
+            self._arrived(name, away, away.back)
+        if is_told:
             what = events.Came(name, generation, header.sequence, host, header.size)
             self._teller.by(name, what, cause=0)
 
     def departed(self, effect: mobile.Departed) -> None:
         """Whoever sent it has heard that it came: told of those whose leaving was told."""
         away = self._away.get(effect.agent)
-        if away is None or (away.generation, away.sequence) != (effect.generation, effect.sequence):
-            return
-        del self._away[effect.agent]
-        seconds = age(self._teller.up - away.up) if away.number else None
-        what = events.Hopped(effect.agent, effect.generation, effect.sequence, effect.host, seconds)
+        if away is not None and (away.generation, away.sequence) == (effect.generation, effect.sequence):
+            self._arrived(effect.agent, away, self._teller.up)
+
+    def _arrived(self, name: str, away: _Away, up: float) -> None:
+        """It was heard then that a hop came to where it was sent."""
+        del self._away[name]
+        seconds = age(up - away.up) if away.number else None
+        what = events.Hopped(name, away.generation, away.sequence, away.to, seconds)
         self._teller.event(what, away.number)
 
     def is_away(self, known: Known) -> None:
         """An earlier life of this host has sent it."""
-        self._away[known.agent] = _Away(known.generation, known.sequence, 0, 0.0)
+        self._away[known.agent] = _Away(known.where, known.generation, known.sequence, 0, 0.0)
 
     # --- all else -------------------------------------------------------------------------------------
 
     def stays(self, agent: Agent, exception: str, reason: str, *, recovered: bool) -> None:
         """A frozen coordinator is about to go on here by an exception, perhaps since it is `recovered`."""
+        self._away.pop(agent.id, None)
         if recovered:
             self._teller.by(agent.id, events.Recovered(agent.id, agent.generation))
         elif self._budget.take("stayed"):
@@ -110,9 +129,20 @@ class Hops:
                 if agent is not None and agent.generation == effect.generation:
                     reason = clip(effect.reason)
                     self._teller.by(effect.agent, events.Superseded(effect.agent, effect.generation, reason))
-            case mobile.Finished() if effect.host == self._here:
-                # Each ending is told where it was; that something is lost by whoever finds it.
-                self._teller.finished(effect.agent, effect.generation, effect.outcome, effect.detail)
+            case mobile.Finished():
+                self._ended(effect)
+
+    def _ended(self, effect: mobile.Finished) -> None:
+        """A coordinator has ended somewhere: if by itself, what was sent has come there."""
+        away = self._away.get(effect.agent)
+        if away is not None and away.generation == effect.generation:
+            if effect.outcome in ("done", "died"):
+                self._arrived(effect.agent, away, self._teller.up)
+            else:
+                del self._away[effect.agent]
+        if effect.host == self._here:
+            # Each ending is told where it was; that something is lost by whoever finds it.
+            self._teller.finished(effect.agent, effect.generation, effect.outcome, effect.detail)
 
     def _calling(self, agent: Agent) -> tuple[str, str, str]:
         """The host, the resource and the portal that a coordinator stands at, when it is frozen."""

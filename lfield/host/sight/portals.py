@@ -19,15 +19,16 @@ class Portals:
         self._before: Watch | None = None
 
     def attach(self) -> None:
-        """From now on; instructions to devices are told too."""
+        """From now on; instructions to devices are told too. Who comes now hears what was skipped before."""
+        self._teller.settle(at_once=True)
         if not self._teller.detailed:
-            self._teller.detailed = True
+            self._teller.detail(on=True)
             self._before, self._machine.attached.watch = self._machine.attached.watch, self
 
     def detach(self) -> None:
         """No more."""
         if self._teller.detailed:
-            self._teller.detailed = False
+            self._teller.detail(on=False)
             self._teller.forget_calls()
             self._machine.attached.watch, self._before = self._before, None
 

@@ -13,7 +13,7 @@ from typing import Literal
 from msgspec import Struct
 
 from lfield.clock import Clock
-from lfield.host.sight.budget import BURST, FILLED_EVERY, Budget
+from lfield.host.sight.budget import FILLED_EVERY, INSTRUCTIONS, PIECE, PORTALS, PRINTS, Allowance, Budget
 from lfield.host.sight.stream import Stream
 from lfield.wire import events
 from lfield.wire.coordinators import Outcome
@@ -59,7 +59,8 @@ class Teller:
         self._budgets: list[Budget] = []
         #: When they are to be filled up next, on the monotonic clock.
         self.due = 0.0
-        self._portals, self._commands, self._prints = self.budget(), self.budget(), self.budget()
+        self._portals, self._commands = self.budget(PORTALS), self.budget(INSTRUCTIONS)
+        self._prints = self.budget(PRINTS)
         #: The last event of each agent, of each device, and of the link with each host.
         self._of_agent: dict[str, int] = {}
         self._of_device: dict[str, int] = {}
@@ -84,10 +85,16 @@ class Teller:
             self.on_told()
         return number
 
-    def budget(self, burst: float = BURST) -> Budget:
+    def budget(self, watched: Allowance, unwatched: Allowance | None = None) -> Budget:
         """A new one, which is filled up with all others."""
-        self._budgets.append(Budget(burst))
+        self._budgets.append(Budget(self.event, watched, unwatched))
         return self._budgets[-1]
+
+    def detail(self, *, on: bool) -> None:
+        """From now on more is told, since somebody watches; or no more."""
+        self.detailed = on
+        for budget in self._budgets:
+            budget.watch(on=on)
 
     def fill(self, now: float) -> None:
         """Time has passed: more can be told again."""
@@ -95,12 +102,11 @@ class Teller:
         for budget in self._budgets:
             budget.fill(now)
 
-    def settle(self) -> None:
-        """Say how much was skipped, if it is time to."""
+    def settle(self, *, at_once: bool = False) -> None:
+        """Say how much was skipped, if it is time to, or `at_once`."""
         now = self.up
         for budget in self._budgets:
-            for skipped in budget.settle(now):
-                self.event(skipped)
+            budget.settle(now, at_once=at_once)
 
     def by(self, agent: str, what: State, cause: int | None = None) -> int:
         """An event of an agent, which its last one led to, or another one; its number."""
@@ -120,13 +126,15 @@ class Teller:
 
     def printed(self, agent: str, text: str) -> None:
         """A line of `print`."""
-        if self._prints.take("printed"):
-            self.by(agent, events.Printed(agent, clip(text)))
+        self._print(events.Printed(agent, clip(text)))
 
     def written(self, agent: str, text: str) -> None:
         """What `write` has put out."""
-        if self._prints.take("printed"):
-            self.by(agent, events.Printed(agent, clip(text), "out"))
+        self._print(events.Printed(agent, clip(text), "out"))
+
+    def _print(self, what: events.Printed) -> None:
+        if self._prints.take("printed", max(1.0, len(what.text) / PIECE)):
+            self.by(what.agent, what)
 
     # --- portals, and instructions to devices ---------------------------------------------------------
 

@@ -106,6 +106,15 @@ class Watcher:
         lost, self._lost = dict(self._lost), Counter()
         return Events(self._life, self._batch, at, up, after, self._stream.latest, told, lost, shown)
 
+    def last(self, at: float, up: float) -> Events:
+        """What is said to one that has gone, should it read it one day: what it has lost until now."""
+        for event in self._owed.values():
+            self._lost[event.kind] += 1
+        lost, self._lost = dict(self._lost), Counter()
+        self._owed.clear()
+        self._batch += 1
+        return Events(self._life, self._batch, at, up, self._after, self._stream.latest, [], lost)
+
     def _told(self) -> list[Event]:
         """The next states; where they leave room, telemetry too."""
         told, size = self._stream.after(self._after, MAX_EVENTS, BATCH_BYTES)

@@ -77,6 +77,7 @@ class Watchers:
 
     def last_words(self) -> None:
         """The host ends: tell each watcher what it is owed, as far as it reads, and close its link."""
+        self._teller.settle(at_once=True)
         for link, watcher in list(self._watchers.items()):
             while (batch := self._batch(watcher, max(self._teller.up, watcher.due))) and batch.events:
                 self._send(link, batch)
@@ -117,6 +118,7 @@ class Watchers:
                 watcher.sample(now, at, up)
         for link, watcher in list(self._watchers.items()):
             if watcher.has_gone(up):
+                self._send(link, watcher.last(at, up))
                 self._end(link, f"what it watches was not read for {PATIENCE:g} s")
             elif batch := self._batch(watcher, up):
                 self._send(link, batch)

@@ -7,20 +7,31 @@ and which hosts are not heard, comes in between as a `Notice`.
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator, Awaitable, Callable, Mapping, Sequence
-from contextlib import asynccontextmanager
+from collections import deque
+from collections.abc import AsyncIterator, Awaitable, Callable, Collection, Mapping, Sequence
+from contextlib import asynccontextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from lfield.clock import Clock, SystemClock
+from lfield.net.transport import Transport
 from lfield.operator.addressed import Party, Place
-from lfield.operator.ask import brought, observer, own_keys
+from lfield.operator.ask import Brought, brought, observer, own_keys
 from lfield.operator.sight.following.beside import beside
 from lfield.operator.sight.following.follower import Follower
 from lfield.operator.sight.following.reach import Reach
+from lfield.operator.sight.picture.loglines import MOST_LINES
 from lfield.operator.sight.timeline.clocks import WATCHER
 from lfield.operator.sight.timeline.timeline import Dated, Timeline
 from lfield.wire.watching import Events
+
+#: The kinds of events that make a log.
+SPOKEN = frozenset({"printed", "logged", "skipped"})
+#: Seconds in which hosts have said what they said before.
+PATIENT = 8.0
+
+#: What telemetry of all kinds is called that is lost uncounted.
+TELEMETRY = "telemetry"
 
 #: For so many seconds an event waits for others that may have led to it, and how often it is looked.
 HOLD, LOOK = 0.5, 0.1
@@ -28,18 +39,32 @@ HOLD, LOOK = 0.5, 0.1
 
 @dataclass(frozen=True, slots=True)
 class Notice:
-    """Something about a host that is no event: what was lost of these, by kind, or why it is not heard."""
+    """Something about a host that is no event: what was lost, by kind, or why it is not heard.
+
+    None is for what nobody has counted.
+    """
 
     host: str
     text: str
-    lost: Mapping[str, int] = field(default_factory=dict)
+    lost: Mapping[str, int | None] = field(default_factory=dict)
 
 
 class Listening:
-    """The hosts of one party; `names` is what each is called here. Implements `Hearer`."""
+    """The hosts of one party; `names` is what each is called here. Implements `Hearer`.
 
-    def __init__(self, names: Mapping[str, str], clock: Clock) -> None:
-        self._names, self._clock = names, clock
+    `telemetry`: it is wanted, so it is said when some was lost. `kinds` are the events that are wanted, None
+    for all.
+    """
+
+    def __init__(
+        self,
+        names: Mapping[str, str],
+        clock: Clock,
+        *,
+        telemetry: bool = False,
+        kinds: Collection[str] | None = None,
+    ) -> None:
+        self._names, self._clock, self._telemetry, self._kinds = names, clock, telemetry, kinds
         self._timeline = Timeline()
         #: By so much Unix time is ahead of the monotonic clock, here and as long as this lasts.
         self._ahead = clock.time() - clock.monotonic()
@@ -47,6 +72,8 @@ class Listening:
         self._notices: list[Notice] = []
         self._why: dict[str, str] = {}
         self._lives: dict[str, int] = {}
+        #: The hosts that were heard, and then were not.
+        self._cut: set[str] = set()
         #: For each host the number of its last state when it was first heard, and of the last that came.
         self._wanted: dict[str, int] = {}
         self._had: dict[str, int] = {}
@@ -58,6 +85,8 @@ class Listening:
 
     def unlinked(self, host: str, why: str) -> None:
         """See `Hearer.unlinked`: said once for each reason."""
+        if host in self._lives:
+            self._cut.add(host)
         if self._why.get(host) != why:
             self._why[host] = why
             self._notices.append(Notice(self._names[host], f"not heard: {why}"))
@@ -68,10 +97,15 @@ class Listening:
         if self._lives.setdefault(host, batch.incarnation) != batch.incarnation:
             self._lives[host] = batch.incarnation
             self._notices.append(Notice(name, "it was started again"))
+        elif host in self._cut and self._telemetry:
+            text = "telemetry was lost while it was not heard, nobody knows how much"
+            self._notices.append(Notice(name, text, {TELEMETRY: None}))
+        self._cut.discard(host)
         asked = None if took is None else now - took
         self._timeline.heard(host, batch.incarnation, batch.up, now, asked)
         for event in batch.events:
-            self._timeline.add(host, batch.incarnation, event)
+            if self._kinds is None or event.kind in self._kinds:
+                self._timeline.add(host, batch.incarnation, event)
         if batch.lost:
             words = ", ".join(f"{count} of kind '{kind}'" for kind, count in batch.lost.items())
             self._notices.append(Notice(name, f"events were lost: {words}", batch.lost))
@@ -128,6 +162,26 @@ class Ears:
         return [host for part in self._parts for host in part.unheard]
 
 
+async def said_before(
+    transport: Transport,
+    hosts: Sequence[str],
+    reach: Callable[[str], Awaitable[str]],
+    clock: Clock,
+    brings: Brought | None = None,
+) -> list[Dated]:
+    """The last that hosts have said until now, of those that can be heard within a few seconds."""
+    part = Listening({host: host for host in hosts}, clock, kinds=SPOKEN)
+    last: deque[Dated] = deque(maxlen=MOST_LINES)
+    with suppress(TimeoutError):
+        async with (
+            asyncio.timeout(PATIENT),
+            beside(Follower(transport, hosts, reach, part, clock, since=0, brings=brings).run()),
+        ):
+            async for told in Ears([part]).events(follow=False):
+                last += [told] if isinstance(told, Dated) else []
+    return [*last, *(told for told in part.given(everything=True) if isinstance(told, Dated))]
+
+
 @asynccontextmanager
 async def ears(
     parties: Sequence[Party],
@@ -147,10 +201,18 @@ async def ears(
     transport, brings = observer(own), brought(own)
     for party in parties:
         called = {place.host: names[place] for place in party.places if place in names}
-        part = Listening(called, clock)
-        reach: Callable[[str], Awaitable[str]] = Reach(party, look)
+        part = Listening(called, clock, telemetry=telemetry > 0.0)
+        reach = Reach(party, look)
         follower = Follower(
-            transport, list(called), reach, part, clock, since=since, telemetry=telemetry, brings=brings
+            transport,
+            list(called),
+            reach,
+            part,
+            clock,
+            since=since,
+            telemetry=telemetry,
+            brings=brings,
+            hint=reach.hint,
         )
         parts.append(part)
         followers.append(follower.run())

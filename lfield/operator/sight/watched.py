@@ -7,7 +7,7 @@ async with watched(path, team, party, look, keys) as team:
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator, Callable, Collection, Sequence
+from collections.abc import AsyncIterator, Awaitable, Callable, Collection, Sequence
 from contextlib import asynccontextmanager
 from pathlib import Path
 
@@ -25,10 +25,12 @@ from lfield.operator.sight.actions import Actions, Order
 from lfield.operator.sight.following.beside import beside
 from lfield.operator.sight.following.follower import Follower
 from lfield.operator.sight.following.reach import Reach
+from lfield.operator.sight.listening import said_before
 from lfield.operator.sight.orders import Orders
 from lfield.operator.sight.picture.roll import Roll, roll_of
 from lfield.operator.sight.picture.team_picture import Picture
 from lfield.operator.sight.seen import Curve, Seen
+from lfield.operator.sight.timeline.timeline import Dated
 from lfield.wire.observing import EmergencyStopped
 from lfield.wire.watching import Events
 
@@ -75,6 +77,13 @@ class Watched:
         """See `Witness.answered`."""
         self.picture.answered(number, host, answer)
 
+    async def begin_log(self, said: Awaitable[Sequence[Dated]]) -> None:
+        """Begin the log with what hosts had said before they were looked at."""
+        self.picture.log_waits()
+        told = await said
+        behind = self._clock.time() - self._clock.monotonic()
+        self.picture.log_begins((d.host, d.incarnation, d.event, d.time - behind) for d in told)
+
     async def tick(self) -> None:
         """Let curves grow until this is cancelled."""
         while True:
@@ -116,6 +125,9 @@ async def watched(
         return read_asked(path, team)
 
     shown.actions = Orders(transport, reach, shown, team, asked, own, brings, access=access)
-    follower = Follower(transport, reach.hosts, reach, shown, clock, telemetry=RATE, brings=brings)
-    async with beside(follower.run(), shown.tick()):
+    follower = Follower(
+        transport, reach.hosts, reach, shown, clock, telemetry=RATE, brings=brings, hint=reach.hint
+    )
+    past = said_before(transport, reach.hosts, reach, clock, brings)
+    async with beside(shown.begin_log(past), follower.run(), shown.tick()):
         yield shown

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import os
+import re
 import signal
 import time
 from itertools import pairwise
@@ -166,3 +167,58 @@ def test_nobody_there_is_a_status(lfield, here):
     assert said.status == exits.UNAVAILABLE
     assert said.out == []
     assert [line.split(":")[0] for line in said.err] == ["alpha", "beta"]
+
+
+FLOOD = """
+resource Post { init(string[] arg) { } portal visit(int n) { } }
+coordinator Walker {
+    init(string[] arg) {
+        Post[] posts = findPost();
+        int n = 0;
+        while (n < 400) { posts[n % 2].visit(n); n = n + 1; }
+        n = 0;
+        while (n < 30000) { print("line " + i2s(n)); n = n + 1; }
+        sleep(600.0);
+    }
+}
+"""
+#: Teams of their own: that of `walk` runs meanwhile.
+FLOODED, LATER = (DEPLOYMENT.replace("q@", f"{name}@") for name in ("flooded", "later"))
+SKIPPED = re.compile(r"(\d+) (?:lines|events of kind '(\w+)') were not told: they came too often$")
+
+
+def skipped(lines: list[str], kind: str | None = None) -> int:
+    """How many were not told, by all that says so."""
+    found = [match for line in lines if (match := SKIPPED.search(line))]
+    return sum(int(match[1]) for match in found if match[2] == kind)
+
+
+def test_what_came_too_often_is_counted_for_whoever_reads_it_however(lfield):
+    deployment = lfield.mission(FLOOD, FLOODED)
+    team = lfield.start("up", "--deploy", deployment, "--all", "--sim")
+    team.wait_for("walker: line 29999")
+    logs = lfield("logs", "--deploy", deployment)
+    assert lfield.status(logs) == exits.DONE, logs.said
+    lines = [line for line in logs.out if " walker: line " in line]
+    assert len(lines) > 8000
+    assert skipped(logs.out) == 30000 - len(lines) > 0
+    table = lfield("events", "--deploy", deployment, "--csv", "--no-follow")
+    assert lfield.status(table) == exits.DONE, table.said
+    left = len([row for row in csv.DictReader(table.out) if row["kind"] == "left"])
+    assert skipped(table.err, "left") == 399 - left > 0
+    shown = lfield("events", "--deploy", deployment, "--no-follow")
+    assert lfield.status(shown) == exits.DONE, shown.said
+    assert any("skipped  skipped=left  count=" in line for line in shown.out)
+
+
+def test_who_begins_before_the_mission_finds_it_as_soon_as_it_runs_and_again_after_that(lfield):
+    deployment = lfield.mission(PROGRAM, LATER)
+    watcher = lfield.start("logs", "-f", "--deploy", deployment)
+    watcher.wait_for(r"alpha: not heard: .*this mission does not run on this computer \(yet\)")
+    for run in (1, 2):
+        team = lfield.start("up", "--deploy", deployment, "--all", "--sim")
+        nth(watcher, " alpha | p: visit 0", run)
+        team.signal(signal.SIGINT)
+        team.wait()
+    watcher.signal(signal.SIGINT)
+    assert watcher.wait() == exits.INTERRUPTED

@@ -65,6 +65,8 @@ def test_two_copters_move_and_stop_and_a_host_dies(browser, lfield, team):
     browser.says("coordinator-pilot", "mission.L:")
     browser.says("coordinator-pilot", "→")
     browser.says("state", "2 of 2 hosts linked")
+    # Said before anybody looked.
+    browser.says("log", "both fly")
 
     browser.thing("stop").click()
     browser.says("confirmed-lead.fc", "safe")

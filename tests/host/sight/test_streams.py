@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
-import math
+from types import SimpleNamespace
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
 
-from lfield.host.sight.budget import Budget
-from lfield.host.sight.stream import Stream, size_of
+from lfield.clock import ManualClock
+from lfield.host.sight.budget import Allowance, Budget
+from lfield.host.sight.hops import Hops
+from lfield.host.sight.stream import MOST_EVENTS, Stream, size_of
+from lfield.host.sight.teller import Teller
 from lfield.host.sight.watcher import BATCH_BYTES, LEAST, PATIENCE, QUIET, Watcher
+from lfield.mobility.effects import Departed
 from lfield.wire.codec import encode
-from lfield.wire.events import Logged, Measured, Skipped
+from lfield.wire.coordinators import Transfer
+from lfield.wire.events import Latched, Logged, Measured, Skipped
 from lfield.wire.fields import MAX_TEXT
 from lfield.wire.observing import Status
 from lfield.wire.watching import MAX_EVENTS, WINDOW, Watch
@@ -174,6 +179,20 @@ def test_who_does_not_read_gets_no_more_than_the_window():
     assert not watcher.has_gone(up)
     assert watcher.has_gone(PATIENCE + 1.0)
     assert watcher.due <= PATIENCE
+
+
+def test_who_is_let_go_is_told_what_it_has_lost_until_then():
+    stream = Stream()
+    watcher, up, sent = watched(stream, Watch(LIFE, 0, 20.0)), 0.0, []
+    while not watcher.has_gone(up):
+        watcher.sample(sample(fc=up), 1.0, up)
+        sent += filter(None, [batch_of(watcher, up)])
+        up += LEAST
+    told(stream, 3)
+    last = watcher.last(1.7e9 + up, up)
+    assert (last.batch, last.events, last.after, last.latest) == (WINDOW + 1, [], 0, 3)
+    # What is owed still is lost as well.
+    assert last.lost["measured"] + sum(len(b.events) for b in sent) == pytest.approx(up / LEAST, abs=2)
 
 
 def test_who_reads_again_goes_on_without_a_gap():
@@ -346,22 +365,69 @@ def test_who_reads_all_the_time_loses_no_state(steps):
 # --- what may happen too often --------------------------------------------------------------------------
 
 
+def budget_of(burst, rate, unwatched=None):
+    """A budget, and what it tells."""
+    said = []
+    return Budget(said.append, Allowance(burst, rate), unwatched), said
+
+
 def test_a_budget_tells_all_that_happens_at_a_usual_rate():
-    budget = Budget(20.0, 10.0)
+    budget, said = budget_of(20.0, 10.0)
     for n in range(1000):
         budget.fill(n * 0.1)
         assert budget.take("left")
-    assert budget.settle(1000.0) == []
+    budget.settle(1000.0)
+    assert said == []
 
 
 def test_beyond_its_rate_it_counts():
-    budget, taken = Budget(20.0, 10.0), 0
+    (budget, said), taken = budget_of(20.0, 10.0), 0
     for n in range(10_000):
         budget.fill(n * 0.001)
         taken += budget.take("left")
     assert taken == pytest.approx(20 + 100, abs=1)
-    assert budget.settle(10.0) == [Skipped("left", 10_000 - taken)]
-    assert budget.settle(12.0) == []
+    budget.settle(10.0)
+    assert sum(skipped.count for skipped in said) == 10_000 - taken
+    count = len(said)
+    budget.settle(12.0)
+    assert len(said) == count
+
+
+def test_what_was_skipped_is_said_before_the_next_that_is_told():
+    budget, said = budget_of(2.0, 10.0)
+    assert [budget.take("printed") for _ in range(5)] == [True, True, False, False, False]
+    assert said == []
+    budget.fill(1.0)
+    assert budget.take("printed")
+    assert said == [Skipped("printed", 3)]
+
+
+def test_whoever_asks_at_once_is_told_at_once_and_else_once_a_second():
+    budget, said = budget_of(1.0, 10.0)
+    for _ in range(2):
+        budget.take("left")
+        budget.take("left")
+        budget.settle(5.0)
+    assert [skipped.count for skipped in said] == [1]
+    budget.settle(5.0, at_once=True)
+    assert [skipped.count for skipped in said] == [1, 2]
+
+
+def test_more_is_told_while_somebody_watches():
+    budget, _ = budget_of(9.0, 90.0, Allowance(2.0, 20.0))
+    assert sum(budget.take("left") for _ in range(20)) == 2
+    budget.watch(on=True)
+    assert sum(budget.take("left") for _ in range(20)) == 9
+    # Whoever comes again while it is watched has no second burst of it.
+    budget.watch(on=True)
+    assert not budget.take("left")
+    budget.watch(on=False)
+    assert sum(budget.take("left") for _ in range(20)) == 2
+
+
+def test_what_is_long_counts_for_more():
+    budget, _ = budget_of(10.0, 0.0)
+    assert [budget.take("printed", 6.0) for _ in range(3)] == [True, True, False]
 
 
 @settings(derandomize=True, deadline=None)
@@ -370,21 +436,66 @@ def test_beyond_its_rate_it_counts():
     st.floats(0.1, 30.0),
 )
 def test_whatever_was_not_told_is_counted_once(asked, rate):
-    budget, now = Budget(2.0, rate), 0.0
-    taken, counted = 0, 0
+    (budget, said), now = budget_of(2.0, rate), 0.0
+    taken = 0
     for kind, pause in asked:
         now += pause
         budget.fill(now)
         taken += budget.take(kind)
-        counted += sum(skipped.count for skipped in budget.settle(now))
-    counted += sum(skipped.count for skipped in budget.settle(now + math.inf))
-    assert taken + counted == len(asked)
+        budget.settle(now)
+    budget.settle(now, at_once=True)
+    assert taken + sum(skipped.count for skipped in said) == len(asked)
     assert taken <= 2.0 + rate * now + 1e-6
 
 
 def test_a_clock_that_stands_still_fills_nothing():
-    budget = Budget(2.0, 10.0)
+    budget, _ = budget_of(2.0, 10.0)
     budget.fill(5.0)
     assert [budget.take("left") for _ in range(3)] == [True, True, False]
     budget.fill(5.0)
     assert not budget.take("left")
+
+
+# --- a host on which everything happens as often as it can ------------------------------------------------
+
+
+def flood(teller, hops, number):
+    """One of each, with names and texts as missions have them."""
+    agent, header = "Patrol:one", Transfer("Patrol:one", 3, number, 3, b"p" * 32, 7, 1436)
+    hops.left("charlie", header)
+    hops.departed(Departed(agent, 3, number, "charlie"))
+    teller.began(number, agent, "copter7", "surveyField")
+    teller.asked("copter7", 3, number, "copter7.fc", "goTo")
+    teller.answered("copter7", 3, "")
+    teller.ended(number, "done")
+    teller.printed("copter7", f"field {number} of the eastern slope is surveyed, battery 0.75, 12 targets")
+
+
+def test_a_flood_of_everything_pushes_nothing_out_before_a_watcher_has_it_at_a_megabyte_a_second():
+    """It reads every batch at once, and a batch comes 20 times a second at most: that is its bound."""
+    clock = ManualClock()
+    teller = Teller(clock)
+    machine = SimpleNamespace(agents={}, calling=lambda agent: None)
+    team = SimpleNamespace(hosts=["alpha", "charlie"], coordinators=[SimpleNamespace(id="Patrol:one")])
+    hops = Hops(teller, machine, "alpha", team)
+    teller.detail(on=True)
+    teller.fill(clock.monotonic())
+    watcher, number, heard, latched = watched(teller.stream), 0, 0, []
+    assert BATCH_BYTES / LEAST < 1e6
+    for tick in range(int(15 / LEAST)):
+        for _ in range(6000 if tick == 0 else 300):
+            number += 1
+            flood(teller, hops, number)
+        if tick % 20 == 0:
+            teller.device(Latched("copter7.fc", "land", f"reason {tick}"))
+        clock.advance(LEAST + 1e-6)
+        teller.fill(clock.monotonic())
+        batch = batch_of(watcher, teller.up)
+        assert "state" not in batch.lost
+        watcher.seen(batch.batch, teller.up)
+        heard += len(batch.events)
+        latched += [event for event in batch.events if event.kind == "latched"]
+    assert heard > 150_000
+    assert len(latched) >= 12
+    # What it is behind is well within what is kept.
+    assert teller.stream.latest - heard < MOST_EVENTS / 2

@@ -8,6 +8,7 @@ from contextlib import asynccontextmanager
 import pytest
 
 from lfield.operator.sight.following.follower import Follower
+from lfield.operator.sight.listening import said_before
 from lfield.operator.sight.picture.roll import roll_of
 from lfield.operator.sight.timeline.timeline import Timeline
 from lfield.operator.sight.watched import Watched
@@ -88,6 +89,65 @@ def test_a_walk_is_seen_hop_by_hop_to_its_end(fleet) -> None:
             causes = [(times[d.cause], n) for n, d in enumerate(told) if d.cause in times]
             assert len(causes) > 20
             assert all(cause < effect for cause, effect in causes)
+
+    fleet(story)
+
+
+THERE_AND_BACK = """
+resource Post {
+    init(string[] arg) { }
+    portal visit() { }
+}
+coordinator Walker {
+    init(string[] arg) {
+        Post[] posts = findPost();
+        int n = 0;
+        while (n < 20) {
+            posts[n % 2].visit();
+            n = n + 1;
+        }
+    }
+}
+"""
+
+
+def test_every_hop_has_its_duration_though_who_comes_back_at_once_brings_its_own_confirmation(fleet) -> None:
+    async def story(fleet) -> None:
+        mission = fleet.mission(THERE_AND_BACK, TEAM)
+        await fleet.up(mission)
+        async with followed(fleet, mission, since=0) as shown:
+            await fleet.until(lambda: shown.seen().agents["walker"].finished)
+            await asyncio.sleep(3.0)
+            told = [dated.event for dated in shown.timeline.given()]
+            hops = {kind: [e.what.sequence for e in told if e.kind == kind] for kind in ("left", "hopped")}
+            assert len(hops["left"]) == 19
+            assert hops["hopped"] == hops["left"]
+            assert all(e.what.seconds is not None for e in told if e.kind == "hopped")
+
+    fleet(story)
+
+
+def test_who_looks_late_has_what_was_said_before_in_one_order_and_once(fleet) -> None:
+    async def story(fleet) -> None:
+        mission = fleet.mission(PROGRAM, TEAM)
+        await fleet.up(mission)
+        await asyncio.sleep(3.5)
+        transport = fleet.network.transport("desk")
+
+        async def reach(host: str) -> str:
+            return mission.team.reached[host]
+
+        async with followed(fleet, mission) as shown:
+            said = said_before(transport, mission.team.hosts, reach, LoopClock())
+            await shown.begin_log(said)
+            assert len([line for line in shown.seen().log if "visit" in line.text]) == 4
+            await fleet.until(lambda: shown.seen().agents["walker"].finished)
+            log = shown.seen().log
+            assert [x.text for x in log if "visit" in x.text] == [f"visit {n}" for n in range(6)]
+            first = next(line for line in log if "visit" in line.text)
+            assert first.age == pytest.approx(shown.seen().log[-1].age + 5.0, abs=0.5)
+            # No hop of the past is drawn.
+            assert len(shown.seen().coordinators["walker"].trail) == 2
 
     fleet(story)
 

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import pytest
 
 from lfield.clock import ManualClock
-from lfield.host.sight.budget import BURST_OF_HOPS
+from lfield.host.sight.budget import HOPS_UNWATCHED
 from lfield.host.sight.hops import Hops
 from lfield.host.sight.teller import Teller
 from lfield.mobility.effects import Departed, Finished, InDoubt, Supersede
@@ -70,11 +70,49 @@ def test_a_hop_that_an_earlier_life_has_sent_took_nobody_knows_how_long(rig: Rig
     assert rig.last == (0, events.Hopped("w", 1, 9, "b", None))
 
 
+def test_who_comes_back_before_it_was_confirmed_has_confirmed_it(rig: Rig) -> None:
+    rig.agent(4)
+    rig.hops.left("b", header(4))
+    rig.clock.advance(0.5)
+    rig.hops.arrives("b", header(5))
+    rig.clock.advance(0.25)
+    rig.agent(5)
+    rig.hops.goes("w", 1)
+    left, hopped, came = rig.told
+    assert (hopped.cause, hopped.what) == (left.number, events.Hopped("w", 1, 4, "b", 0.5))
+    assert came.what == events.Came("w", 1, 5, "b", 544)
+    rig.hops.departed(Departed("w", 1, 4, "b"))
+    assert len(rig.told) == 3
+
+
+def test_what_ends_elsewhere_before_it_was_confirmed_has_confirmed_it(rig: Rig) -> None:
+    rig.agent(4)
+    rig.hops.left("b", header(4))
+    rig.clock.advance(0.5)
+    rig.hops.tell(Finished("w", 1, "done", "", "b"))
+    assert rig.last == (1, events.Hopped("w", 1, 4, "b", 0.5))
+
+
+@pytest.mark.parametrize("outcome", ["stays", "lost", "superseded"])
+def test_a_hop_that_came_to_nothing_is_confirmed_by_nothing_later(rig: Rig, outcome: str) -> None:
+    rig.agent(4)
+    rig.hops.left("b", header(4))
+    if outcome == "stays":
+        rig.hops.stays(rig.agents["w"], "UnreachableResourceException", "", recovered=False)  # type: ignore[arg-type]
+    else:
+        rig.hops.tell(Finished("w", 1, outcome, "", "b"))  # type: ignore[arg-type]
+    rig.hops.arrives("b", header(7))
+    rig.agent(7)
+    rig.hops.goes("w", 1)
+    assert "hopped" not in [event.kind for event in rig.told]
+
+
 def test_a_hop_that_was_not_told_is_not_heard_of(rig: Rig) -> None:
-    for n in range(int(BURST_OF_HOPS) + 5):
+    most = int(HOPS_UNWATCHED.burst)
+    for n in range(most + 5):
         rig.hops.left("b", header(n))
         rig.hops.departed(Departed("w", 1, n, "b"))
-    assert len(rig.told) == 2 * int(BURST_OF_HOPS)
+    assert len(rig.told) == 2 * most
     rig.clock.advance(1.0)
     rig.teller.settle()
     assert rig.last == (0, events.Skipped("left", 5))

@@ -10,7 +10,7 @@ import pytest
 from lfield.cli.views.event_view import COLUMNS, Csv, LogView, as_json, as_line
 from lfield.operator.sight.listening import Notice
 from lfield.operator.sight.timeline.timeline import Cause, Dated
-from lfield.wire.events import Came, Event, Hopped, Latched, Left, Logged, Measured, Printed, Stayed
+from lfield.wire.events import Came, Event, Hopped, Latched, Left, Logged, Measured, Printed, Skipped, Stayed
 
 
 def dated(what: object, **more: object) -> Dated:
@@ -54,6 +54,8 @@ def test_what_is_no_number_is_null_in_json() -> None:
 def test_what_was_lost_is_an_object_too() -> None:
     told = json.loads(as_json(Notice("alpha", "events were lost", {"state": 2})))
     assert told == {"host": "alpha", "kind": "lost", "lost": {"state": 2}}
+    uncounted = json.loads(as_json(Notice("alpha", "telemetry was lost", {"telemetry": None})))
+    assert uncounted["lost"] == {"telemetry": None}
 
 
 @pytest.mark.parametrize(
@@ -91,6 +93,12 @@ def test_a_log_has_whole_lines_and_who_said_them() -> None:
     assert whole.endswith(" alpha | boss: half a line")
     two = list(view.lines(dated(Logged("one\n  two\x07"))))
     assert [line.partition(" | ")[2] for line in two] == ["one", "  two\\u{7}"]
+
+
+def test_a_log_says_where_lines_are_missing() -> None:
+    (line,) = LogView().lines(dated(Skipped("printed", 4550)))
+    assert line.endswith(" alpha | 4550 lines were not told: they came too often")
+    assert list(LogView().lines(dated(Skipped("left", 3)))) == []
 
 
 def test_what_a_terminal_would_obey_is_shown_in_json_and_tables_too() -> None:

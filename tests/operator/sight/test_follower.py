@@ -8,7 +8,8 @@ from collections.abc import Awaitable, Callable
 import pytest
 from sight_script import Teller
 
-from lfield.net.transport import Link
+from lfield.errors import AddressError
+from lfield.net.transport import Link, LinkHandler, Transport
 from lfield.operator.sight.following.cursor import LATEST, Cursor
 from lfield.operator.sight.following.follower import ASKED_EVERY, LOOK, SILENT, Follower
 from lfield.simulate.network import MemoryNetwork
@@ -17,7 +18,7 @@ from lfield.wire.events import Event, Linked, Measured, State
 from lfield.wire.messages import Hello, Message, Refuse
 from lfield.wire.watching import Events, Seen, Watch
 
-ADDRESS = "alpha:8181"
+ADDRESS, NOWHERE = "alpha:8181", "beyond:8181"
 
 
 class PlayedHost:
@@ -95,18 +96,36 @@ class Ears:
         return [event.what.peer for batch in self.batches for event in batch.events]
 
 
+class Desk:
+    """A transport of whoever follows: there is an address whose name nobody knows."""
+
+    def __init__(self, transport: Transport) -> None:
+        self._transport = transport
+
+    async def connect(self, address: str, handler: LinkHandler) -> Link:
+        if address == NOWHERE:
+            raise AddressError(address, "the name is not known")
+        return await self._transport.connect(address, handler)
+
+
 class Scene:
     """A network, who listens on it, and who follows."""
 
     def __init__(self, since: int | None = None) -> None:
         self.network = MemoryNetwork(LoopClock(), on_pending=self._pending)
-        self.ears = Ears()
+        self.ears, self.address = Ears(), ADDRESS
         self.follower = Follower(
-            self.network.transport("desk"), ["alpha"], self._reach, self.ears, LoopClock(), since=since
+            Desk(self.network.transport("desk")),  # type: ignore[arg-type]
+            ["alpha"],
+            self._reach,
+            self.ears,
+            LoopClock(),
+            since=since,
+            hint=lambda: "it may not run",
         )
 
     async def _reach(self, host: str) -> str:
-        return f"{host}:8181"
+        return self.address
 
     def _pending(self) -> None:
         due = self.network.next_due()
@@ -227,6 +246,20 @@ def test_a_host_that_was_not_there_yet_is_followed_from_its_beginning() -> None:
 
     ears = played(story)
     assert "nobody listens" in ears.log[0] or "nobody" in ears.log[0]
+
+
+def test_a_host_that_is_found_elsewhere_later_is_followed_from_its_beginning() -> None:
+    async def story(scene: Scene) -> None:
+        scene.address = NOWHERE
+        await asyncio.sleep(3.0)
+        host = PlayedHost(scene.network)
+        host.happens(Linked("a"))
+        scene.address = ADDRESS
+        await asyncio.sleep(LATEST + 1.0)
+
+    ears = played(story)
+    assert ears.peers == ["a"]
+    assert all(line.endswith("; it may not run") for line in ears.log[:-1])
 
 
 def test_a_host_that_hangs_is_given_up_and_called_again() -> None:

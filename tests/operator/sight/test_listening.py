@@ -13,9 +13,10 @@ from lfield.wire.events import Came, Left, Linked
 class Desk:
     """Somebody who listens to alpha and beta, whose clocks show other times."""
 
-    def __init__(self) -> None:
+    def __init__(self, *, telemetry: bool = False) -> None:
         self.clock = ManualClock()
-        self.ears = Listening({"alpha": "run-1/alpha", "beta": "run-1/beta"}, self.clock)
+        names = {"alpha": "run-1/alpha", "beta": "run-1/beta"}
+        self.ears = Listening(names, self.clock, telemetry=telemetry)
         self.hosts = {"alpha": Teller(), "beta": Teller(LIFE + 1, wall=5.0)}
         self.aside = {"alpha": -990.0, "beta": 70.0}
 
@@ -55,6 +56,29 @@ def test_what_was_lost_and_another_life_are_told() -> None:
         "events were lost: 3 of kind 'state', 1 of kind 'measured'",
         "it was started again",
     ]
+
+
+def test_telemetry_of_a_time_when_a_host_was_not_heard_is_told_to_be_lost_though_not_how_much() -> None:
+    desk = Desk(telemetry=True)
+    text = "telemetry was lost while it was not heard, nobody knows how much"
+    desk.tell("alpha", Linked("x"))
+    desk.ears.unlinked("alpha", "it was not read for 60 s")
+    desk.ears.linked("alpha")
+    desk.tell("alpha", Linked("y"))
+    notices = [told for told in desk.ears.given() if isinstance(told, Notice)]
+    assert notices[-1] == Notice("run-1/alpha", text, {"telemetry": None})
+    desk.ears.linked("alpha")
+    desk.tell("alpha", Linked("z"))
+    assert not [told for told in desk.ears.given() if isinstance(told, Notice)]
+
+
+def test_who_wants_no_telemetry_loses_none() -> None:
+    desk = Desk()
+    desk.tell("alpha", Linked("x"))
+    desk.ears.unlinked("alpha", "it was not read for 60 s")
+    desk.ears.linked("alpha")
+    desk.tell("alpha", Linked("y"))
+    assert all("telemetry" not in text for text in desk.said())
 
 
 def test_all_is_told_when_each_host_has_told_what_it_had_or_is_not_heard() -> None:

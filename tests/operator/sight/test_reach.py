@@ -10,7 +10,7 @@ import pytest
 from lfield.errors import AddressError, NothingRuns
 from lfield.operator.addressed import Party
 from lfield.operator.runs import Note, Run
-from lfield.operator.sight.following.reach import LOOKED_EVERY, Reach
+from lfield.operator.sight.following.reach import LOOKED_EVERY, NOT_HERE, Reach
 from lfield.simulate.time import run_jumping
 
 
@@ -18,6 +18,11 @@ def party(name: str, mission: str, *hosts: str) -> Party:
     addresses = {host: f"unix:/run/{name}/{host}.sock" for host in hosts}
     note = Note("m.dL", mission * 64, 1, 0.0, 1.0, {host: f"{host}:1" for host in hosts}, {})
     return Party((Run(Path("/run") / name, note),), addresses)
+
+
+def unstarted(*hosts: str) -> Party:
+    """A mission that was named, and that nobody runs here: at the addresses of its deployment."""
+    return Party((), {host: f"{host}:8181" for host in hosts})
 
 
 def found(reach: Reach, host: str = "alpha", *, after: float = 0.0) -> str:
@@ -65,3 +70,31 @@ def test_a_host_that_a_mission_has_no_more_is_told() -> None:
     reach = Reach(party("m-1", "a", "alpha"), lambda: [])
     with pytest.raises(AddressError, match="has no such host any more"):
         found(reach, "gamma")
+
+
+def test_a_mission_that_was_started_later_is_found_and_after_it_the_next_run_of_it() -> None:
+    now: list[Party] = [unstarted("alpha")]
+    reach = Reach(unstarted("alpha"), lambda: now)
+
+    async def main() -> list[str]:
+        said = [await reach("alpha")]
+        for run in ("m-1", "m-2"):
+            now[:] = [party(run, "a", "alpha")]
+            await asyncio.sleep(LOOKED_EVERY)
+            said.append(await reach("alpha"))
+        now[:] = [unstarted("alpha")]
+        await asyncio.sleep(LOOKED_EVERY)
+        return [*said, await reach("alpha")]
+
+    m1, m2 = "unix:/run/m-1/alpha.sock", "unix:/run/m-2/alpha.sock"
+    assert run_jumping(main()) == ["alpha:8181", m1, m2, m2]
+    assert reach.addresses == {"alpha": m2}
+
+
+def test_whether_the_mission_runs_here_is_said_as_far_as_it_was_looked_for() -> None:
+    now: list[Party] = [unstarted("alpha")]
+    reach = Reach(unstarted("alpha"), lambda: now)
+    assert reach.hint() == NOT_HERE
+    now[:] = [party("m-1", "a", "alpha")]
+    assert found(reach, after=LOOKED_EVERY) == "unix:/run/m-1/alpha.sock"
+    assert reach.hint() == ""

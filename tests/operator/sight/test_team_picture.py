@@ -22,6 +22,7 @@ from lfield.wire.events import (
     Came,
     Confirmed,
     Ending,
+    Event,
     Finished,
     Hopped,
     Latched,
@@ -435,6 +436,53 @@ def test_what_a_snapshot_has_told_the_end_of_changes_nothing_any_more() -> None:
     assert (boss.to, [hop.to for hop in boss.trail]) == ("", ["beta"])
     assert not story.seen.vehicles["one"].latched
     assert [line.text for line in story.seen.log] == ["hi"]
+
+
+def test_the_log_begins_with_what_was_said_before_and_has_nothing_twice() -> None:
+    story = Story()
+    host = story.hosts["alpha"]
+    before = [host.event(up, what) for up, what in ((1.0, Printed("boss", "on", "out")), (2.0, Logged("up")))]
+    story.picture.log_waits()
+    story.tell("alpha", Printed("boss", "e\n", "out"), Logged("now"))
+    assert story.seen.log == ()
+    # Whoever reads the past may read on into what comes here as well.
+    again = [Event(3, 0.0, 3.0, 0, Printed("boss", "e\n", "out")), Event(4, 0.0, 3.0, 0, Logged("now"))]
+    past = [("alpha", LIFE, event, story.now - 60.0) for event in (*before, *again)]
+    story.picture.log_begins(past)
+    assert [line.text for line in story.seen.log] == ["up", "one", "now"]
+    assert [line.serial for line in story.seen.log] == [1, 2, 3]
+    assert story.seen.log[0].age == pytest.approx(60.0)
+    story.tell("alpha", Logged("later"))
+    assert story.seen.log[-1].text == "later"
+
+
+def test_of_a_host_that_is_not_heard_itself_all_that_was_said_before_counts() -> None:
+    story = Story()
+    story.picture.log_waits()
+    story.picture.log_begins([("alpha", LIFE, story.hosts["alpha"].event(1.0, Logged("up")), 1.0)])
+    assert [line.text for line in story.seen.log] == ["up"]
+    assert not story.seen.hosts["alpha"].linked
+
+
+def test_what_was_not_told_is_a_line_at_its_place_and_counted_whoever_looks_since_when() -> None:
+    story = Story()
+    host = story.hosts["alpha"]
+    story.picture.log_waits()
+    past = [host.event(1.0, what) for what in (Logged("a"), Skipped("printed", 40), Skipped("left", 2))]
+    story.tell("alpha", Skipped("printed", 2), Logged("b"))
+    story.picture.log_begins([("alpha", LIFE, event, 1.0) for event in past])
+    forty, two = (f"{count} lines were not told: they came too often" for count in (40, 2))
+    assert [line.text for line in story.seen.log] == ["a", forty, two, "b"]
+    assert story.seen.hosts["alpha"].lost == {"printed": 42, "left": 2}
+
+
+def test_what_a_snapshot_is_newer_than_is_missing_all_the_same() -> None:
+    story = Story()
+    host = story.hosts["alpha"]
+    old = host.batch(1.0, Skipped("left", 5))
+    story.picture.told("alpha", host.batch(2.0, snapshot=snapshot("alpha")), story.now, 1.7e9)
+    story.picture.told("alpha", old, story.now, 1.7e9)
+    assert story.seen.hosts["alpha"].lost == {"left": 5}
 
 
 def test_a_coordinator_whose_hops_are_too_many_to_tell_is_where_it_stands() -> None:

@@ -11,7 +11,7 @@ from collections.abc import Awaitable, Callable, Sequence
 from typing import Protocol
 
 from lfield.clock import Clock
-from lfield.errors import GreetingError, KeysError, LfieldError, NobodyListens, WireError
+from lfield.errors import AddressError, GreetingError, KeysError, LfieldError, NobodyListens, WireError
 from lfield.net.greeting import Greeting
 from lfield.net.transport import Link, Transport
 from lfield.operator.ask import Brought
@@ -43,7 +43,7 @@ class Follower:
     """Follows `hosts` by their names. `reach` says where one is to be found now, as often as it is called.
 
     `since` and `telemetry` (Hz) as a `Cursor` has them; `brings` is a revocation list for hosts that have an
-    older one.
+    older one. `hint` is what else to say, if anything, of one that is not found there.
     """
 
     def __init__(
@@ -57,10 +57,13 @@ class Follower:
         since: int | None = None,
         telemetry: float = 0.0,
         brings: Brought | None = None,
+        hint: Callable[[], str] = lambda: "",
     ) -> None:
-        self._transport, self._hosts, self._reach = transport, hosts, reach
+        self._transport, self._hosts, self._reach, self._hint = transport, hosts, reach, hint
         self._hearer, self._clock, self._brings = hearer, clock, brings
         self._cursors = {host: Cursor(since, telemetry) for host in hosts}
+        #: Where each was called last.
+        self._tried: dict[str, str] = {}
 
     async def run(self) -> None:
         """Follow all of them until this is cancelled."""
@@ -80,12 +83,18 @@ class Follower:
         watching = Watching(host, cursor, self._hearer, self._clock, self._brings)
         link: Link | None = None
         try:
-            link = await self._transport.connect(await self._reach(host), watching)
+            address = await self._reach(host)
+            if self._tried.get(host, address) != address:
+                # It was started elsewhere since it was last looked for.
+                cursor.nobody()
+            self._tried[host] = address
+            link = await self._transport.connect(address, watching)
             watching.greet(link)
             return await watching.over
-        except NobodyListens as error:
-            cursor.nobody()
-            return str(error)
+        except AddressError as error:
+            if isinstance(error, NobodyListens):
+                cursor.nobody()
+            return "; ".join(filter(None, (str(error), self._hint())))
         except LfieldError as error:
             return str(error)
         finally:

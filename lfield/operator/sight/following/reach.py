@@ -15,6 +15,8 @@ from lfield.operator.addressed import Party
 
 #: Runs are looked for once in so many seconds, however many hosts are missed.
 LOOKED_EVERY = 1.0
+#: What else can be the matter with a host that is not found.
+NOT_HERE = "this mission does not run on this computer (yet)"
 
 
 class Reach:
@@ -35,6 +37,10 @@ class Reach:
     def addresses(self) -> Mapping[str, str]:
         """Where they were found last."""
         return self._party.addresses
+
+    def hint(self) -> str:
+        """What to say of a host that is not where it was looked for; '' for nothing more."""
+        return "" if self._party.runs else NOT_HERE
 
     async def __call__(self, host: str) -> str:
         """Where a host is now. Raises AddressError for one that the mission has no more."""
@@ -59,9 +65,13 @@ class Reach:
     def _take(self, parties: Sequence[Party]) -> None:
         """Of several runs of the mission the one that was followed, or else the newest, which is the last.
 
-        One of another user does not take the place of one that is believed.
+        Where none was followed yet, whatever runs now is of the mission that was named. One of another user
+        does not take the place of one that is believed.
         """
-        own = [party for party in parties if party.mission == self._party.mission]
+        followed = self._party
+        own = [p for p in parties if p.runs and p.user == followed.user]
+        if followed.runs:
+            own = [party for party in own if party.mission == followed.mission]
         if own:
-            same = [party for party in own if party.id == self._party.id]
+            same = [party for party in own if party.id == followed.id]
             self._party = (same or own)[-1]

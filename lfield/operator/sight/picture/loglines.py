@@ -3,15 +3,35 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from lfield.operator.sight.seen import LogLine
-from lfield.wire.events import Printed
+from lfield.wire.events import Logged, Printed, Skipped
 
 #: So many lines are kept.
 MOST_LINES = 1000
 #: A line that a program does not end is one after so many characters.
 LONGEST = 4096
+
+
+#: What of a stream makes lines.
+Words = Printed | Logged | Skipped
+
+
+class Said(NamedTuple):
+    """What was said on a host at its time `at` (Unix, s), which was `when` by our monotonic clock."""
+
+    host: str
+    at: float
+    when: float
+    what: Words
+
+
+def left_out(what: str, count: int) -> str:
+    """What is said of what a host did not tell."""
+    return f"{count} {what} were not told: they came too often"
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,17 +71,38 @@ class LogLines:
         self._lines: deque[_Line] = deque(maxlen=MOST_LINES)
         self._serial = 0
         self._pieces = Pieces()
+        #: What waits for what was said before it, None when nothing does.
+        self._held: deque[Said] | None = None
 
-    def add(self, host: str, at: float, when: float, agent: str, text: str) -> None:
-        """Lines of a host, said at its time `at`, which was `when` by our monotonic clock."""
+    def hold(self) -> None:
+        """What is said from now on waits until it is known what was said before."""
+        self._held = deque(maxlen=MOST_LINES)
+
+    def begin(self, before: Iterable[Said]) -> None:
+        """That was said before all else; nothing waits any more."""
+        held, self._held = self._held or (), None
+        for said in (*before, *held):
+            self.add(said)
+
+    def add(self, said: Said) -> None:
+        """It was said after all that was said before."""
+        if self._held is not None:
+            self._held.append(said)
+            return
+        match said.what:
+            case Printed(agent) as what:
+                # A line, or what a program has written of one.
+                for line in self._pieces.lines(said.host, what):
+                    self._line(said, agent, line)
+            case Logged(text):
+                self._line(said, "", text)
+            case Skipped("printed", count):
+                self._line(said, "", left_out("lines", count))
+
+    def _line(self, said: Said, agent: str, text: str) -> None:
         for line in text.splitlines() or [""]:
             self._serial += 1
-            self._lines.append(_Line(self._serial, host, at, when, agent, line))
-
-    def printed(self, host: str, at: float, when: float, what: Printed) -> None:
-        """What a program has said: a line, or what it has written of one."""
-        for line in self._pieces.lines(host, what):
-            self.add(host, at, when, what.agent, line)
+            self._lines.append(_Line(self._serial, said.host, said.at, said.when, agent, line))
 
     def seen(self, now: float) -> tuple[LogLine, ...]:
         """All of them, the oldest first."""

@@ -7,7 +7,7 @@ its link broke stays, and grows older; a new life of a host begins with nothing 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from lfield.driver.frame import Origin
@@ -16,7 +16,7 @@ from lfield.operator.sight.actions import Order
 from lfield.operator.sight.picture.agents import AgentEvent, Agents
 from lfield.operator.sight.picture.curves import Curves
 from lfield.operator.sight.picture.devices import DeviceEvent, Devices, earth_of, vehicle_of
-from lfield.operator.sight.picture.loglines import LogLines
+from lfield.operator.sight.picture.loglines import LogLines, Said, Words
 from lfield.operator.sight.picture.presses import Presses
 from lfield.operator.sight.picture.roll import Roll
 from lfield.operator.sight.seen import (
@@ -63,6 +63,8 @@ class _Host:
     offers: dict[str, str] = field(default_factory=dict)
     lost: Counter[str] = field(default_factory=Counter)
     refusals: Mapping[str, str] = field(default_factory=dict)
+    #: The number of the last event before those that came here.
+    begins: int | None = None
     #: The number of the last event that a snapshot has told what came of.
     past: int = 0
 
@@ -100,6 +102,7 @@ class Picture:
         """What a host has sent. `took` is how long it was asked for, of a first answer: for that long nobody
         knows what its clock showed."""
         host = self._life(name, batch.incarnation)
+        host.begins = batch.after if host.begins is None else host.begins
         host.told, host.up = now, batch.up
         behind = now - batch.up
         host.clock = behind if host.clock is None else min(behind, host.clock + DRIFT)
@@ -111,6 +114,22 @@ class Picture:
         if batch.snapshot is not None:
             self._status(name, host, batch.snapshot, now)
             host.past = batch.latest
+
+    def log_waits(self) -> None:
+        """The log begins with what hosts have said before they are heard here: it waits for that."""
+        self._log.hold()
+
+    def log_begins(self, before: Iterable[tuple[str, int, Event, float]]) -> None:
+        """That is what was said: of each host, in that life of it, an event, and when on our clock it was."""
+        self.revision += 1
+        told = []
+        for name, incarnation, event, when in before:
+            host, what = self._host(name), event.what
+            comes = host.begins is not None and event.number > host.begins
+            if isinstance(what, Words) and not (comes and host.incarnation == incarnation):
+                told.append(Said(name, event.at, when, what))
+                _left_out(host, what)
+        self._log.begin(told)
 
     def ordered(self, order: Order, hosts: Collection[str], now: float) -> int:
         """An order is given from here to those hosts, and to those of the team of which nobody knows where
@@ -164,10 +183,9 @@ class Picture:
         is_past = event.number <= host.past and not isinstance(what, events.Measured | events.Standing)
         if isinstance(what, AgentEvent):
             self._agents.told(name, what, when, is_past=is_past)
-        elif isinstance(what, events.Printed):
-            self._log.printed(name, event.at, when, what)
-        elif isinstance(what, events.Logged):
-            self._log.add(name, event.at, when, "", what.text)
+        elif isinstance(what, Words):
+            self._log.add(Said(name, event.at, when, what))
+            _left_out(host, what)
         elif is_past:
             _began(host, what, when)
         elif isinstance(what, DeviceEvent):
@@ -343,7 +361,11 @@ def _stands(host: _Host, what: object, when: float) -> None:
             host.offers[agent] = ""
         case events.Withdrawn(agent, reason):
             host.offers[agent] = reason or "it cannot be called"
-        case events.Skipped(skipped, count):
-            host.lost[skipped] += count
         case _:
             pass
+
+
+def _left_out(host: _Host, what: Words) -> None:
+    """What a host has not told nobody ever hears of, whoever looks since when."""
+    if isinstance(what, events.Skipped):
+        host.lost[what.skipped] += what.count
