@@ -49,6 +49,10 @@ class Watcher:
         self.next = up
         self._heard = up
 
+    def goes_on(self, before: Watcher) -> None:
+        """It watched before and asks anew: of what it has lost meanwhile it is still to be told."""
+        self._lost.update(before._lost)
+
     def seen(self, batch: int, up: float) -> None:
         """It has read up to that batch."""
         if self._seen < batch <= self._batch:

@@ -61,7 +61,9 @@ class Watchers:
         teller, before = self._teller, self._watchers.get(link)
         # Nobody can keep a host busy by asking anew.
         begins = teller.up if before is None else max(teller.up, before.next)
-        self._watchers[link] = Watcher(teller.stream, self._core.incarnation, message, begins)
+        self._watchers[link] = watcher = Watcher(teller.stream, self._core.incarnation, message, begins)
+        if before is not None:
+            watcher.goes_on(before)
         self._portals.attach()
         if self._leaving is not None:
             self._leaving.cancel()

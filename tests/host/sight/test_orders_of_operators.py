@@ -51,8 +51,7 @@ async def operated(fleet, mission, asked=None):
     async def at_once(work, *args):
         return work(*args)
 
-    heard = shown.picture.answered
-    shown.actions = Orders(transport, reach, heard, mission.team, ask, beside=at_once)
+    shown.actions = Orders(transport, reach, shown, mission.team, ask, beside=at_once)
     follower = Follower(transport, reach.hosts, reach, shown, LoopClock())
     task = asyncio.create_task(follower.run())
     try:

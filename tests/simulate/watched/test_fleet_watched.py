@@ -197,7 +197,9 @@ def test_who_stops_reading_gets_a_window_and_then_an_end(tmp_path: Path) -> None
     assert eye.refused == ""
     fleet.run(20.0)
     assert eye.refused == "what it watches was not read for 60 s"
-    assert len(eye.batches) == WINDOW
+    # One more says what it has lost, should it read that one day.
+    assert len(eye.batches) == WINDOW + 1
+    assert eye.batches[-1].lost.keys() == {"measured", "standing"}
     assert len(other.batches) > 600
     assert not any("state" in batch.lost for batch in other.batches)
 
@@ -269,8 +271,8 @@ resource Post { init(string[] arg) { } portal look() { } }
 coordinator Walker {
     init(string[] arg) {
         Post[] posts = findPost();
-        for (int n = 0; n < 3000; n = n + 1) { posts[0].look(); }
-        for (int n = 0; n < 3000; n = n + 1) { print(i2s(n)); }
+        for (int n = 0; n < 12000; n = n + 1) { posts[0].look(); }
+        for (int n = 0; n < 20000; n = n + 1) { print(i2s(n)); }
         sleep(10.0);
     }
 }
@@ -287,9 +289,9 @@ def test_what_happens_too_often_is_counted(tmp_path: Path) -> None:
         what = event.what
         assert isinstance(what, events.Skipped)
         skipped[what.skipped] = skipped.get(what.skipped, 0) + what.count
-    assert len(eye.of(events.Began)) + skipped["began"] == 3000
+    assert len(eye.of(events.Began)) + skipped["began"] == 12000
     assert len(eye.of(events.Ended)) == len(eye.of(events.Began))
-    assert len(eye.of(events.Printed)) + skipped["printed"] == 3000
+    assert len(eye.of(events.Printed)) + skipped["printed"] == 20000
     assert not any(batch.lost for batch in eye.batches)
 
 
