@@ -12,7 +12,7 @@ from typing import Any
 import msgspec
 
 from lfield.operator.sight.listening import Notice
-from lfield.operator.sight.picture.loglines import Pieces, left_out
+from lfield.operator.sight.picture.loglines import Pieces, left_out, lines_of
 from lfield.operator.sight.timeline.timeline import Dated
 from lfield.text.visible import in_one_line
 from lfield.wire.events import Came, Hopped, Left, Logged, Measured, Printed, Skipped, Stayed, as_fields
@@ -164,7 +164,7 @@ class LogView:
                 for line in self._pieces.lines(dated.host, what):
                     yield f"{head} {in_one_line(agent)}: {in_one_line(line)}"
             case Logged(text):
-                for line in text.splitlines() or [""]:
+                for line in lines_of(text):
                     yield f"{head} {in_one_line(line)}"
             case Skipped("printed", count):
                 yield f"{head} {left_out('lines', count)}"

@@ -106,3 +106,9 @@ def test_what_a_terminal_would_obey_is_shown_in_json_and_tables_too() -> None:
     assert "\\u009b2J\\u202e" in as_json(dated(orders))
     (row,) = Csv().rows(dated(orders))
     assert "\\u{9b}2J\\u{202e}" in row
+
+
+def test_what_a_program_writes_begins_no_line_but_by_its_end() -> None:
+    text = "here\rbeta | lead: lands\x85beta | lead: \u2028safe\n"
+    (line,) = LogView().lines(dated(Printed("walker", text, "log")))
+    assert line.endswith("| walker: here\\rbeta | lead: lands\\u{85}beta | lead: \\u{2028}safe")

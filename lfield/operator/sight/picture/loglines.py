@@ -34,6 +34,11 @@ def left_out(what: str, count: int) -> str:
     return f"{count} {what} were not told: they came too often"
 
 
+def lines_of(text: str) -> list[str]:
+    """Its lines as the log of its host has them: whatever else a program writes begins none."""
+    return text.removesuffix("\n").split("\n")
+
+
 @dataclass(frozen=True, slots=True)
 class _Line:
     serial: int
@@ -54,7 +59,7 @@ class Pieces:
     def lines(self, host: str, what: Printed) -> list[str]:
         """The lines that have ended now."""
         if what.on == "log":
-            return what.text.splitlines() or [""]
+            return lines_of(what.text)
         key = (host, what.agent)
         *lines, rest = (self._begun.pop(key, "") + what.text).split("\n")
         if len(rest) > LONGEST:
@@ -100,7 +105,7 @@ class LogLines:
                 self._line(said, "", left_out("lines", count))
 
     def _line(self, said: Said, agent: str, text: str) -> None:
-        for line in text.splitlines() or [""]:
+        for line in lines_of(text):
             self._serial += 1
             self._lines.append(_Line(self._serial, said.host, said.at, said.when, agent, line))
 
