@@ -1,8 +1,7 @@
 """A team under test: the mission of a deployment, in one process, on virtual time.
 
-What runs are the hosts, machines, guards and drivers of a robot, against the fakes of `lfield up --sim`, by
-their wire protocols. Only what they stand on is a model: computers, network, cables, disks and clocks. One
-seed is one run.
+What runs are hosts, machines, guards and drivers of a robot, against the fakes of `lfield up --sim`, by their
+wire protocols. Only what is below is a model: computers, network, cables, disks, clocks. A seed is one run.
 """
 
 from __future__ import annotations
@@ -15,6 +14,7 @@ from pathlib import Path
 from types import MappingProxyType, SimpleNamespace
 from typing import cast
 
+from lfield.authority.identity import ALL, Identity
 from lfield.errors import MissionTestError, Stuck
 from lfield.mission.load import load_mission
 from lfield.net.transport import Link
@@ -41,14 +41,15 @@ LOOK = 0.02
 DAY = (1.8e9, 1.8e9 + 0.5)
 #: Metres that are a move.
 MOVED = 0.5
-#: Seconds of real time in which a mission's time need not go on; and that the making of a team may take.
+#: Seconds of real time that a mission's time may stand still, and the making of a team take.
 PATIENCE = 120.0
 #: So many lines are shown of a host that has ended.
 LAST_WORDS = 5
 
 
 #: Who gives commands, as somebody at a desk does, and waits for no answer.
-_PERSON = cast(Link, SimpleNamespace(peer="the test", send=lambda message: None))
+_TEST = Identity("person", "the test", ALL)
+_PERSON = cast(Link, SimpleNamespace(peer="the test", who=_TEST, send=lambda message: None))
 
 
 class Team:
@@ -72,10 +73,8 @@ class Team:
         self._fakes = Fakes(asked.wrong(fakes), self._mark)
         #: How coordinators ended, with the start that did: hosts that are gone tell it no more.
         self._outcomes: dict[str, tuple[int, str]] = {}
-        #: What the test has done to the team, for its picture.
-        self.marks: list[Mark] = []
-        #: The hosts that the test has ended.
-        self._away: set[str] = set()
+        #: What the test has done to the team, for its picture; the hosts that it has ended.
+        self.marks, self._away = list[Mark](), set[str]()
         self._calls, self._hops = Calls(lambda: self.now), Hops(lambda: self.now)
         #: Words that somebody shall say, and how much of the log was looked at for them.
         self._awaited, self._read = "", 0
