@@ -10,13 +10,14 @@ from __future__ import annotations
 
 import datetime
 import math
-from collections.abc import Iterable
-from typing import NamedTuple
+from collections.abc import Iterable, Sequence
+from typing import Generic, NamedTuple, TypeVar
 
 from cryptography import x509
 from cryptography.hazmat.primitives import serialization
 from cryptography.hazmat.primitives.asymmetric.ec import EllipticCurvePrivateKey, EllipticCurvePublicKey
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey, Ed25519PublicKey
+from cryptography.hazmat.primitives.hashes import SHA256
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
 from lfield.authority.identity import MAX_NAME, Right, uri_of
@@ -24,6 +25,10 @@ from lfield.authority.judge import Revoked
 from lfield.authority.keys import MAX_LIST, Holder
 from lfield.authority.pem import certificate_in, fingerprint_of, private_in, public_in
 from lfield.errors import KeysError
+
+PrivateKey = Ed25519PrivateKey | EllipticCurvePrivateKey
+PublicKey = Ed25519PublicKey | EllipticCurvePublicKey
+_Key = TypeVar("_Key", bound=PrivateKey)
 
 #: The last second that a certificate can tell.
 _LAST = datetime.datetime(9999, 12, 31, 23, 59, 59, tzinfo=datetime.UTC).timestamp()
@@ -36,27 +41,60 @@ class Issued(NamedTuple):
     key: bytes = b""
 
 
-class Authority:
-    """An authority with its private key. `fingerprint` is its name: SHA-256 of its public key, in hex."""
+class Signer(Generic[_Key]):
+    """Whoever signs certificates, with one of its own and the private key."""
 
-    def __init__(self, certificate: x509.Certificate, key: Ed25519PrivateKey) -> None:
+    def __init__(self, certificate: x509.Certificate, key: _Key) -> None:
         self._certificate, self._key = certificate, key
-        self.fingerprint = fingerprint_of(key.public_key())
 
     @property
     def certificate(self) -> bytes:
-        """What everybody trusts, PEM."""
+        """What whoever believes it has to have, PEM."""
         return self._certificate.public_bytes(serialization.Encoding.PEM)
 
     @property
     def key(self) -> bytes:
-        """Its private key, PEM. Whoever has it is the authority."""
+        """Its private key, PEM. Whoever has it can sign the same."""
         return private_pem(self._key)
 
     @property
     def ends(self) -> float:
         """Until when it holds, in seconds since 1970 UTC; nothing that it makes holds longer."""
         return self._certificate.not_valid_after_utc.timestamp()
+
+    def _signed(
+        self,
+        subject: str,
+        public: PublicKey,
+        at: float,
+        ends: float,
+        usages: Iterable[x509.ObjectIdentifier],
+        names: Sequence[x509.GeneralName],
+    ) -> bytes:
+        """A certificate, PEM, of somebody who signs none. It ends with the signer at the latest.
+
+        Raises KeysError.
+        """
+        made = (
+            begun(self._certificate.subject, subject_of(subject), public, at, min(ends, self.ends))
+            .add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
+            .add_extension(usage(signs_certificates=False), critical=True)
+            .add_extension(x509.ExtendedKeyUsage(usages), critical=False)
+            .add_extension(x509.SubjectAlternativeName(names), critical=False)
+            .add_extension(
+                x509.AuthorityKeyIdentifier.from_issuer_public_key(self._key.public_key()), critical=False
+            )
+            .sign(self._key, None if isinstance(self._key, Ed25519PrivateKey) else SHA256())
+        )
+        return made.public_bytes(serialization.Encoding.PEM)
+
+
+class Authority(Signer[Ed25519PrivateKey]):
+    """An authority with its private key. `fingerprint` is its name: SHA-256 of its public key, in hex."""
+
+    def __init__(self, certificate: x509.Certificate, key: Ed25519PrivateKey) -> None:
+        super().__init__(certificate, key)
+        self.fingerprint = fingerprint_of(key.public_key())
 
     def issue(
         self,
@@ -85,19 +123,8 @@ class Authority:
         if holder == "host":
             usages.append(ExtendedKeyUsageOID.SERVER_AUTH)
         identity = x509.UniformResourceIdentifier(uri_of(holder, name, may))
-        builder = (
-            begun(self._certificate.subject, subject_of(f"{holder} {name}"), public, at, min(ends, self.ends))
-            .add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
-            .add_extension(usage(signs_certificates=False), critical=True)
-            .add_extension(x509.ExtendedKeyUsage(usages), critical=False)
-            .add_extension(x509.SubjectAlternativeName([identity]), critical=False)
-            .add_extension(
-                x509.AuthorityKeyIdentifier.from_issuer_public_key(self._key.public_key()), critical=False
-            )
-        )
-        made = builder.sign(self._key, None)
-        pem = made.public_bytes(serialization.Encoding.PEM)
-        return Issued(pem, private_pem(key) if key is not None else b"")
+        made = self._signed(f"{holder} {name}", public, at, ends, usages, [identity])
+        return Issued(made, private_pem(key) if key is not None else b"")
 
     def renewed(self, at: float, ends: float) -> Authority:
         """The same key and name with a certificate of its own until later; what it has made stays good."""
@@ -109,7 +136,7 @@ class Authority:
             x509.CertificateRevocationListBuilder()
             .issuer_name(self._certificate.subject)
             .last_update(_moment(revoked.at))
-            .next_update(_moment(_LAST))
+            .next_update(_moment(math.inf))
             .add_extension(x509.CRLNumber(revoked.number), critical=False)
             .add_extension(
                 x509.AuthorityKeyIdentifier.from_issuer_public_key(self._key.public_key()), critical=False
@@ -156,7 +183,7 @@ def _own_certificate(key: Ed25519PrivateKey, at: float, ends: float) -> x509.Cer
 def begun(
     issuer: x509.Name,
     subject: x509.Name,
-    public: Ed25519PublicKey | EllipticCurvePublicKey,
+    public: PublicKey,
     at: float,
     ends: float,
 ) -> x509.CertificateBuilder:
@@ -200,7 +227,7 @@ def usage(*, signs_certificates: bool) -> x509.KeyUsage:
     )
 
 
-def private_pem(key: Ed25519PrivateKey | EllipticCurvePrivateKey) -> bytes:
+def private_pem(key: PrivateKey) -> bytes:
     """A private key as PEM, without a password."""
     return key.private_bytes(
         serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, serialization.NoEncryption()

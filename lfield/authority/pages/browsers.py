@@ -16,34 +16,14 @@ from cryptography.hazmat.primitives.hashes import SHA256
 from cryptography.x509.oid import ExtendedKeyUsageOID
 
 from lfield.authority.judge import when
-from lfield.authority.making import Issued, begun, private_pem, subject_of, usage
+from lfield.authority.making import Issued, Signer, begun, private_pem, subject_of, usage
 from lfield.authority.pages.names import ENDINGS, NETWORKS, address_in, private
 from lfield.authority.pem import certificate_in, sound
 from lfield.errors import KeysError
 
-_SERVERS = x509.ExtendedKeyUsage([ExtendedKeyUsageOID.SERVER_AUTH])
 
-
-class Browsers:
-    """The root with its private key."""
-
-    def __init__(self, certificate: x509.Certificate, key: ec.EllipticCurvePrivateKey) -> None:
-        self._certificate, self._key = certificate, key
-
-    @property
-    def certificate(self) -> bytes:
-        """What is imported into browsers, PEM."""
-        return self._certificate.public_bytes(serialization.Encoding.PEM)
-
-    @property
-    def key(self) -> bytes:
-        """Its private key, PEM. Whoever has it can pass for any page of a private network."""
-        return private_pem(self._key)
-
-    @property
-    def ends(self) -> float:
-        """Until when it holds, in seconds since 1970 UTC; nothing that it makes holds longer."""
-        return self._certificate.not_valid_after_utc.timestamp()
+class Browsers(Signer[ec.EllipticCurvePrivateKey]):
+    """The root with its private key. Whoever has that can pass for any page of a private network."""
 
     def issue(self, names: Sequence[str], *, at: float, ends: float) -> Issued:
         """A certificate of a page with these names (`names.spelled`), from now (`at`) until `ends`; its key.
@@ -59,24 +39,9 @@ class Browsers:
                 "the next page begins another, to be imported anew"
             )
         key = ec.generate_private_key(ec.SECP256R1())
-        made = (
-            begun(
-                self._certificate.subject,
-                subject_of(f"page {names[0]}"),
-                key.public_key(),
-                at,
-                min(ends, self.ends),
-            )
-            .add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
-            .add_extension(usage(signs_certificates=False), critical=True)
-            .add_extension(_SERVERS, critical=False)
-            .add_extension(x509.SubjectAlternativeName([_general(name) for name in names]), critical=False)
-            .add_extension(
-                x509.AuthorityKeyIdentifier.from_issuer_public_key(self._key.public_key()), critical=False
-            )
-            .sign(self._key, SHA256())
-        )
-        return Issued(made.public_bytes(serialization.Encoding.PEM), private_pem(key))
+        subject, usages = f"page {names[0]}", [ExtendedKeyUsageOID.SERVER_AUTH]
+        made = self._signed(subject, key.public_key(), at, ends, usages, [_general(name) for name in names])
+        return Issued(made, private_pem(key))
 
 
 _PUBLIC = (
@@ -99,7 +64,7 @@ def new_browsers(at: float, ends: float) -> Browsers:
         begun(name, name, public, at, ends)
         .add_extension(x509.BasicConstraints(ca=True, path_length=0), critical=True)
         .add_extension(usage(signs_certificates=True), critical=True)
-        .add_extension(_SERVERS, critical=False)
+        .add_extension(x509.ExtendedKeyUsage([ExtendedKeyUsageOID.SERVER_AUTH]), critical=False)
         .add_extension(x509.NameConstraints(allowed, None), critical=True)
         .sign(key, SHA256())
     )
