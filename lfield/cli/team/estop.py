@@ -6,16 +6,16 @@ import argparse
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from lfield import exits
 from lfield.cli.mission_argument import add_running_mission, meant_parties, meant_runs, named_mission
-from lfield.errors import AddressError
 from lfield.text.visible import clipped, in_one_line
 
 if TYPE_CHECKING:
     from lfield.errors import LfieldError
     from lfield.operator.addressed import Party, Place
+    from lfield.operator.ask import Request
     from lfield.operator.runs import Run
     from lfield.wire.observing import EmergencyStopped
 
@@ -42,30 +42,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """0 when every device has confirmed and was seen at rest, else 3; 69 where nothing runs at all."""
     from lfield.operator.addressed import names_of
-    from lfield.operator.ask import asked_in_turn, emergency_stop, reached
+    from lfield.operator.ask import emergency_stop
 
     parties = meant_parties(args, meant_runs(args))
     names = names_of(parties)
     if named_mission(args) is None:
         _tell_whom(parties, "lifting" if args.lift else "stopping")
     reason = f"the emergency stop was pressed{': ' if args.reason else ''}{args.reason}"
-    answers: dict[Place, EmergencyStopped | LfieldError] = {}
-    confirmed = everybody = True
+    word = "may be released" if args.lift else "safe"
     try:
-        for some in asked_in_turn(parties, emergency_stop(reason, lift=args.lift), args.keys):
-            confirmed &= all_confirmed(some, names, "may be released" if args.lift else "safe")
-            _tell_not_kept(some, names)
-            everybody &= all_reached(some, names)
-            answers |= some
+        told = told_in_turn(parties, emergency_stop(reason, lift=args.lift), args.keys, names, word)
     except KeyboardInterrupt:
         _tell("interrupted: not every host has answered; press it again")
         return exits.UNSAFE
-    if not (parties[0].runs or any(reached(answer) for answer in answers.values())):
-        return AddressError.exit_status
-    if args.lift or args.no_wait:
-        return exits.DONE if confirmed and everybody else exits.UNSAFE
-    down = way_down(parties, answers, names, args.keys)
-    return exits.worst((exits.DONE if everybody else exits.UNSAFE, down))
+    return came_of(parties, told, names, args.keys, looks=not (args.lift or args.no_wait))
 
 
 def _tell_whom(parties: Sequence[Party], doing: str) -> None:
@@ -77,7 +67,49 @@ def _tell_whom(parties: Sequence[Party], doing: str) -> None:
         _tell(f"lfield: {unseen()}")
 
 
-def all_reached(answers: Stopped, names: Mapping[Place, str]) -> bool:
+class Told(NamedTuple):
+    """What hosts have said; whether every device is as it was asked for, and everybody has answered."""
+
+    answers: Stopped
+    confirmed: bool
+    everybody: bool
+
+
+def told_in_turn(
+    parties: Sequence[Party],
+    request: Request[EmergencyStopped],
+    keys: Path | None,
+    names: Mapping[Place, str],
+    word: str,
+) -> Told:
+    """Ask for it, and tell what each host says as it comes; devices are then what the `word` says."""
+    from lfield.operator.ask import asked_in_turn
+
+    answers: dict[Place, EmergencyStopped | LfieldError] = {}
+    confirmed = everybody = True
+    for some in asked_in_turn(parties, request, keys):
+        confirmed &= _all_confirmed(some, names, word)
+        _tell_not_kept(some, names)
+        everybody &= _all_reached(some, names)
+        answers |= some
+    return Told(answers, confirmed, everybody)
+
+
+def came_of(
+    parties: Sequence[Party], told: Told, names: Mapping[Place, str], keys: Path | None, *, looks: bool
+) -> int:
+    """The status it comes to, after a look at the way down where somebody `looks`; 69 where nothing runs."""
+    from lfield.operator.ask import reached
+
+    if not (parties[0].runs or any(reached(answer) for answer in told.answers.values())):
+        return exits.UNAVAILABLE
+    if not looks:
+        return exits.DONE if told.confirmed and told.everybody else exits.UNSAFE
+    down = _way_down(parties, told.answers, names, keys)
+    return exits.worst((exits.DONE if told.everybody else exits.UNSAFE, down))
+
+
+def _all_reached(answers: Stopped, names: Mapping[Place, str]) -> bool:
     """Whether every host has answered; a line on stderr for each that has not."""
     from lfield.operator.ask import tell_silent, unheard
 
@@ -86,7 +118,7 @@ def all_reached(answers: Stopped, names: Mapping[Place, str]) -> bool:
     return not unreached
 
 
-def all_confirmed(answers: Stopped, names: Mapping[Place, str], word: str) -> bool:
+def _all_confirmed(answers: Stopped, names: Mapping[Place, str], word: str) -> bool:
     """A line for each device of the hosts that answered, on stderr what is wrong; whether all is well."""
     well = True
     for place, answer in answers.items():
@@ -107,7 +139,7 @@ def _tell_not_kept(answers: Stopped, names: Mapping[Place, str]) -> None:
             _tell(f"{names[place]}: {answer.trouble}")
 
 
-def way_down(
+def _way_down(
     parties: Sequence[Party], answers: Stopped, names: Mapping[Place, str], keys: Path | None
 ) -> int:
     """Look at the devices until they are at rest, and name those that are not; the status it comes to."""
