@@ -105,7 +105,7 @@ def came_of(
         return exits.UNAVAILABLE
     if not looks:
         return exits.DONE if told.confirmed and told.everybody else exits.UNSAFE
-    down = _way_down(parties, told.answers, names, keys)
+    down = way_down(parties, told.answers, names, keys)
     return exits.worst((exits.DONE if told.everybody else exits.UNSAFE, down))
 
 
@@ -139,7 +139,7 @@ def _tell_not_kept(answers: Stopped, names: Mapping[Place, str]) -> None:
             _tell(f"{names[place]}: {answer.trouble}")
 
 
-def _way_down(
+def way_down(
     parties: Sequence[Party], answers: Stopped, names: Mapping[Place, str], keys: Path | None
 ) -> int:
     """Look at the devices until they are at rest, and name those that are not; the status it comes to."""
