@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+from collections import Counter
 from collections.abc import Mapping
 
 from lfield_can.bus.frames import Frame
@@ -52,6 +53,8 @@ class Cia402Node(AxisProtocol):
         self.statusword = self._error_code = self._register = 0
         #: When position and velocity were told last.
         self._told_at = dict.fromkeys((t.POSITION, t.VELOCITY), -OLD)
+        #: How often process data have told each.
+        self._tellings = Counter[int]()
         #: Bits of the modes that it has, 0 when it does not tell.
         self.modes = 0
         self.configured = False
@@ -82,7 +85,10 @@ class Cia402Node(AxisProtocol):
         if not self.agreed.data.tells(frame.id):
             return {}  # it is not ours, or not yet: laid out as somebody else has set it up
         values = self.agreed.data.read(frame.id, frame.data)
-        return None if values is None else self.on_values(values)
+        if values is None:
+            return None
+        self._tellings.update(values.keys())
+        return self.on_values(values)
 
     def on_values(self, values: Mapping[int, int]) -> dict[str, object] | None:
         """What objects have told, by PDO or asked for; None for a status word that no drive has."""
@@ -228,24 +234,39 @@ class Cia402Node(AxisProtocol):
         await self.bus.send(self._beat)
         return seconds
 
-    async def ask(self) -> dict[str, object]:
-        """Read by SDO what process data tell. Raises DeviceError."""
-        entries = (t.POSITION, t.VELOCITY, t.STATUS)
-        return self.on_values({entry: await self.objects.read(entry >> 16) for entry in entries}) or {}
+    async def ask(self) -> None:
+        """Read by SDO what process data tell. Raises DeviceError.
+
+        An answer may be older than process data that come beside it, and these come no more where nothing
+        changes: what they have told since it was asked for stands.
+        """
+        for entry in (t.POSITION, t.VELOCITY, t.STATUS):
+            tellings = self._tellings[entry]
+            value = await self.objects.read(entry >> 16)
+            if self._tellings[entry] == tellings:
+                self.on_values({entry: value})
 
     async def poll(self) -> Mapping[str, object]:
         """The supply voltage, the cause of a fault that was not told, and what comes only when it changes."""
-        values: dict[str, object] = await self.ask() if self.agreed.by_changes else {}
-        if self.state.fault and not self._error_code:
-            self._error_code = await setting.optional(self.objects, 0x603F) or 0
-            self._register = await setting.optional(self.objects, 0x1001) or 0
-            values.update(self.on_status(self.statusword) or {})
-        if self._has_voltage:
-            millivolts = await setting.optional(self.objects, 0x6079)
-            self._has_voltage = millivolts is not None
-            if millivolts is not None:
-                values["voltage"] = millivolts / 1000.0
-        return values
+        if self.agreed.by_changes:
+            await self.ask()
+        volts = await self._supply()
+        cause = await self._cause()
+        return {**(self._held() if self.agreed.by_changes else cause), **volts}
+
+    async def _cause(self) -> dict[str, object]:
+        if not self.state.fault or self._error_code:
+            return {}
+        self._error_code = await setting.optional(self.objects, 0x603F) or 0
+        self._register = await setting.optional(self.objects, 0x1001) or 0
+        return self.on_status(self.statusword) or {}
+
+    async def _supply(self) -> dict[str, object]:
+        if not self._has_voltage:
+            return {}
+        millivolts = await setting.optional(self.objects, 0x6079)
+        self._has_voltage = millivolts is not None
+        return {} if millivolts is None else {"voltage": millivolts / 1000.0}
 
     def quiet(self, on: bool) -> None:
         """Our heartbeats feed its watchdog."""

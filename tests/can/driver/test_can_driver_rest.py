@@ -13,6 +13,7 @@ from can_local_drive import LocalDrive
 from lfield.errors import DeviceError
 from lfield_can.bus.frames import Frame
 from lfield_sim.can import bus as fake
+from lfield_sim.can.canopen.pdo import Tpdo
 from lfield_sim.can.specs import build, parse
 from lfield_sim.can.world import TICK, World
 from lfield_sim.faults import Faults
@@ -155,6 +156,36 @@ def test_what_comes_only_by_changes_holds_while_the_heartbeat_is_heard(drive):
             b.values.clear()
             await asyncio.sleep(0.3)
             assert b.values.keys() >= {"position", "velocity", "state", "enabled"}
+
+    b.run(mission)
+
+
+def test_an_answer_that_process_data_have_overtaken_is_no_news(drive):
+    """The drive reads, changes, tells of the change, and only then is what it has read on the bus."""
+    b = drive()
+
+    async def mission(axis):
+        await axis.execute("enable", [])
+        protocol = axis.protocol
+        protocol.agreed = dataclasses.replace(protocol.agreed, by_changes=True)
+        b.world.faults.apply(["lost_tpdo=true"])
+        await asyncio.sleep(0.1)
+        objects, say = b.drive.node.objects, b.bus.say
+
+        def overtaken(identifier, data):
+            if identifier == 0x580 + 5:
+                for index, value in ((0x6041, 0x1237), (0x6064, 4096), (0x606C, 512)):
+                    objects.put(index, value)
+                for tpdo in (Tpdo(objects, number) for number in range(4)):
+                    if tpdo.identifier is not None:
+                        say(tpdo.identifier, tpdo.data())
+            say(identifier, data)
+
+        b.bus.say = overtaken
+        published = await protocol.poll()
+        assert protocol.statusword == 0x1237
+        assert published["position"] == protocol.units.position(4096)
+        assert published["velocity"] == protocol.units.velocity(512)
 
     b.run(mission)
 
