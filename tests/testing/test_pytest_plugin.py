@@ -44,7 +44,7 @@ def run(folder: Path, *words: str) -> tuple[int, str]:
     """A command of Python in a project; its status, and what it says."""
     environment = {name: value for name, value in os.environ.items() if not name.startswith("PYTEST")}
     done = subprocess.run(
-        [sys.executable, *words], cwd=folder, env=environment, capture_output=True, text=True, timeout=60.0
+        [sys.executable, *words], cwd=folder, env=environment, capture_output=True, text=True, timeout=240.0
     )
     return done.returncode, done.stdout + done.stderr
 
