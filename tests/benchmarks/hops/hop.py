@@ -18,6 +18,8 @@ from harness.processes import Processes
 from harness.samples import Contender
 from hops.rpc import CLIENTS, Echo
 
+from lfield.testing.keys import Keyring
+
 SIZES = (64, 1 << 10, 8 << 10, 64 << 10)
 CALLS, WARM_UP = 300, 20
 
@@ -48,8 +50,9 @@ def calls(library: str) -> Opener:
     """Echoes of a library."""
 
     def opener(checkout: Checkout, processes: Processes) -> Contender:
-        server = checkout.run(processes, str(_HERE / "rpc.py"), library)
-        echo = CLIENTS[library](int(server.line()))
+        keys = Keyring(processes.folder()).give("host") / "host"
+        server = checkout.run(processes, str(_HERE / "rpc.py"), library, str(keys))
+        echo = CLIENTS[library](int(server.line()), keys)
         return lambda: {f"{count} B": _echoes(echo, count) for count in SIZES}
 
     return opener
@@ -76,6 +79,7 @@ FIGURE = Figure(
         "TCP, echo": calls("TCP"),
         "Pyro5, method call": calls("Pyro5"),
         "RPyC, method call": calls("RPyC"),
+        "RPyC in TLS, method call": calls("RPyC in TLS"),
         "gRPC, method call": calls("gRPC"),
     },
     base=("Pyro5, method call", "RPyC, method call", "gRPC, method call"),
@@ -83,8 +87,12 @@ FIGURE = Figure(
     sizes={f"{count} B": count for count in SIZES},
     ratios=(
         ("lfield: a hop", "RPyC, method call", "0.60x"),
+        ("lfield: a hop", "RPyC in TLS, method call", ""),
         ("lfield: a hop", "TCP, echo", "4.00x"),
     ),
-    notes=(f"rounds of {CALLS} calls; a portal call is one hop, a method call or an echo goes and returns",),
+    notes=(
+        f"rounds of {CALLS} calls; a portal call is one hop, a method call or an echo goes and returns",
+        "a hop is in TLS 1.3 with certificates on both sides; of the others only what says so is",
+    ),
     between=("lfield: a hop",),
 )

@@ -1,8 +1,8 @@
 """What a remote portal call is compared with: servers that give back the bytes they are given.
 
-`python rpc.py NAME` serves one of them on a free loopback port and prints the port; `CLIENTS[NAME]`
+`python rpc.py NAME KEYS` serves one of them on a free loopback port and prints the port; `CLIENTS[NAME]`
 connects to it. Each runs in its fastest common setting: no compression, no delay of small packets, bytes
-passed as they are.
+passed as they are. `KEYS` is a folder with those of a host, for whoever speaks TLS.
 """
 
 from __future__ import annotations
@@ -12,6 +12,10 @@ import struct
 import sys
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
+from pathlib import Path
+
+from lfield.authority.keys import AUTHORITY, certificate_name, key_name
 
 #: Sends bytes, returns the same bytes as they came back.
 Echo = Callable[[bytes], bytes]
@@ -19,6 +23,7 @@ Echo = Callable[[bytes], bytes]
 _LENGTH = struct.Struct("<I")
 _GRPC_METHOD = "/bench.Echo/echo"
 _PYRO_NAME = "echo"
+HOST_CERTIFICATE, HOST_KEY = certificate_name("host"), key_name("host")
 
 
 # --- plain TCP ----------------------------------------------------------------------------------------
@@ -34,7 +39,7 @@ def _send(connection: socket.socket, data: bytes) -> None:
     connection.sendall(_LENGTH.pack(len(data)) + data)
 
 
-def serve_tcp() -> None:
+def serve_tcp(keys: Path) -> None:
     """Blocking sockets: the least that can be done."""
     with socket.create_server(("127.0.0.1", 0)) as server:
         _say_port(server.getsockname()[1])
@@ -44,7 +49,7 @@ def serve_tcp() -> None:
             _send(connection, data)
 
 
-def connect_tcp(port: int) -> Echo:
+def connect_tcp(port: int, keys: Path) -> Echo:
     """A client of `serve_tcp`."""
     connection = socket.create_connection(("127.0.0.1", port))
     connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
@@ -59,7 +64,7 @@ def connect_tcp(port: int) -> Echo:
 # --- Pyro5 --------------------------------------------------------------------------------------------
 
 
-def serve_pyro5() -> None:
+def serve_pyro5(keys: Path) -> None:
     """Its multiplexing server, with the serializer that passes bytes unchanged."""
     import Pyro5.api  # type: ignore[import-untyped]  # has no types
 
@@ -76,7 +81,7 @@ def serve_pyro5() -> None:
     daemon.requestLoop()
 
 
-def connect_pyro5(port: int) -> Echo:
+def connect_pyro5(port: int, keys: Path) -> Echo:
     """A client of `serve_pyro5`."""
     import Pyro5.api
 
@@ -88,10 +93,11 @@ def connect_pyro5(port: int) -> Echo:
 # --- RPyC ---------------------------------------------------------------------------------------------
 
 
-def serve_rpyc() -> None:
+def serve_rpyc(keys: Path, *, in_tls: bool = False) -> None:
     """A threaded server; one thread, as there is one client."""
     import rpyc  # type: ignore[import-untyped]  # has no types
     from rpyc.core.channel import Channel  # type: ignore[import-untyped]  # has no types
+    from rpyc.utils.authenticators import SSLAuthenticator  # type: ignore[import-untyped]  # has no types
     from rpyc.utils.server import OneShotServer  # type: ignore[import-untyped]  # has no types
 
     Channel.COMPRESSION_THRESHOLD = sys.maxsize
@@ -100,20 +106,29 @@ def serve_rpyc() -> None:
         def exposed_echo(self, data: bytes) -> bytes:
             return data
 
-    server = OneShotServer(Service, hostname="127.0.0.1", port=0)
+    lock = SSLAuthenticator(keys / HOST_KEY, keys / HOST_CERTIFICATE, keys / AUTHORITY) if in_tls else None
+    server = OneShotServer(Service, hostname="127.0.0.1", port=0, authenticator=lock)
     # Connections that are accepted take the option over.
     server.listener.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
     _say_port(server.port)
     server.start()
 
 
-def connect_rpyc(port: int) -> Echo:
-    """A client of `serve_rpyc`."""
+def connect_rpyc(port: int, keys: Path, *, in_tls: bool = False) -> Echo:
+    """A client of `serve_rpyc`; in TLS both ends have certificates, as hosts do."""
     import rpyc
     from rpyc.core.channel import Channel
 
     Channel.COMPRESSION_THRESHOLD = sys.maxsize
-    connection = rpyc.connect_stream(rpyc.SocketStream.connect("127.0.0.1", port, nodelay=True))
+    stream = rpyc.SocketStream
+    proof = {
+        "keyfile": keys / HOST_KEY,
+        "certfile": keys / HOST_CERTIFICATE,
+        "ca_certs": keys / AUTHORITY,
+        "check_hostname": False,
+    }
+    made = stream.ssl_connect("127.0.0.1", port, proof, nodelay=True) if in_tls else None
+    connection = rpyc.connect_stream(made or stream.connect("127.0.0.1", port, nodelay=True))
     remote = connection.root.echo
     # The connection lives as long as somebody holds it.
     return lambda data: bytes(remote(data)) if not connection.closed else b""
@@ -122,7 +137,7 @@ def connect_rpyc(port: int) -> Echo:
 # --- gRPC ---------------------------------------------------------------------------------------------
 
 
-def serve_grpc() -> None:
+def serve_grpc(keys: Path) -> None:
     """A generic handler of bytes: no protocol buffers on the way."""
     import grpc  # type: ignore[import-untyped]  # has no types
 
@@ -135,7 +150,7 @@ def serve_grpc() -> None:
     server.wait_for_termination()
 
 
-def connect_grpc(port: int) -> Echo:
+def connect_grpc(port: int, keys: Path) -> Echo:
     """A client of `serve_grpc`."""
     import grpc
 
@@ -143,16 +158,18 @@ def connect_grpc(port: int) -> Echo:
     return lambda data: bytes(call(data))
 
 
-SERVERS: dict[str, Callable[[], None]] = {
+SERVERS: dict[str, Callable[[Path], None]] = {
     "TCP": serve_tcp,
     "Pyro5": serve_pyro5,
     "RPyC": serve_rpyc,
+    "RPyC in TLS": partial(serve_rpyc, in_tls=True),
     "gRPC": serve_grpc,
 }
-CLIENTS: dict[str, Callable[[int], Echo]] = {
+CLIENTS: dict[str, Callable[[int, Path], Echo]] = {
     "TCP": connect_tcp,
     "Pyro5": connect_pyro5,
     "RPyC": connect_rpyc,
+    "RPyC in TLS": partial(connect_rpyc, in_tls=True),
     "gRPC": connect_grpc,
 }
 
@@ -162,4 +179,4 @@ def _say_port(port: int) -> None:
 
 
 if __name__ == "__main__":
-    SERVERS[sys.argv[1]]()
+    SERVERS[sys.argv[1]](Path(sys.argv[2]))
