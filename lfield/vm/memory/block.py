@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from array import array
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 
 from lfield.vm.memory import layout
@@ -31,15 +31,26 @@ def template(kind: int, index: int, words: int) -> memoryview[int]:
     return memoryview(array("q", [header(kind, index, words), *[0] * (words - 1)]))
 
 
+class Places(dict[int, int]):
+    """Where the threads of a block are, by id; `ids` has these from the oldest on, which is their order."""
+
+    __slots__ = ("ids",)
+
+    def __init__(self, found: Iterable[tuple[int, int]] = ()) -> None:
+        super().__init__(found)
+        self.ids = list(self)
+
+
 class Block:
     """A block in memory: its bytes, seen as ints (`w`) and as reals (`r`), from a `space` that has more.
 
     `top` is the first unused word, `end` the first one that may not be used, `limit` the most words the heap
     may have, `packed` where the top was when there was no garbage, 0 if never. The views belong to the bytes
-    of the moment: whoever collects or grows a block must take them again.
+    of the moment: whoever collects or grows a block must take them again. So do `places`, None until somebody
+    looks for a thread (`lfield.vm.memory.threads`).
     """
 
-    __slots__ = ("data", "end", "limit", "packed", "r", "space", "top", "w")
+    __slots__ = ("data", "end", "limit", "packed", "places", "r", "space", "top", "w")
 
     def __init__(self, data: Buffer, top: int, limit: int, space: Space = SEPARATE) -> None:
         self.limit, self.space, self.packed = limit, space, 0
@@ -59,6 +70,7 @@ class Block:
         """Let the block be these bytes from now on."""
         self.data = data
         self.top = top
+        self.places: Places | None = None
         view = memoryview(data)
         self.w = view.cast("q")
         self.r = view.cast("d")

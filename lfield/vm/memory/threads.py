@@ -1,12 +1,16 @@
-"""The threads of a block: a list on its heap, one record each."""
+"""The threads of a block: a list on its heap, one record each, and where each of them is.
+
+What is known of places is beside the block until its heap moves: nobody walks a list of a thousand.
+"""
 
 from __future__ import annotations
 
 from array import array
+from bisect import bisect_left
 from collections.abc import Iterator
 
 from lfield.vm.memory import layout
-from lfield.vm.memory.block import Block
+from lfield.vm.memory.block import Block, Places
 from lfield.vm.memory.layout import (
     FRAME,
     FRAME_CALLER,
@@ -53,6 +57,9 @@ def new_thread(block: Block, template: memoryview[int], words: list[int], call: 
     w[place + THREAD_CALL] = call
     w[place + THREAD_NEXT] = w[layout.W_THREADS]
     w[layout.W_THREADS] = place
+    if (places := block.places) is not None:
+        places[identity] = place
+        places.ids.append(identity)
     return identity
 
 
@@ -66,22 +73,13 @@ def threads(block: Block) -> Iterator[int]:
 
 def count(block: Block) -> int:
     """How many threads there are."""
-    w = block.w
-    found = 0
-    place = w[layout.W_THREADS]
-    while place:
-        found += 1
-        place = w[place + THREAD_NEXT]
-    return found
+    return len(_places(block))
 
 
 def place_of(block: Block, identity: int) -> int:
     """Where the thread with that id is; 0 when there is none."""
-    w = block.w
-    place = w[layout.W_THREADS]
-    while place and w[place + THREAD_ID] != identity:
-        place = w[place + THREAD_NEXT]
-    return place
+    places = block.places
+    return (_places(block) if places is None else places).get(identity, 0)
 
 
 def serving(block: Block, call: int) -> int:
@@ -96,15 +94,15 @@ def unlink(block: Block, identity: int) -> None:
     But where it and its only frame still are what is on the top, as behind a portal that has kept nothing,
     they are given back at once: such calls cost no garbage.
     """
-    w = block.w
-    before = layout.W_THREADS
-    place = w[before]
-    while place and w[place + THREAD_ID] != identity:
-        before = place + THREAD_NEXT
-        place = w[before]
+    w, places = block.w, _places(block)
+    place = places.pop(identity, 0)
     if not place:
         return
-    w[before] = w[place + THREAD_NEXT]
+    ids = places.ids
+    at = bisect_left(ids, identity)
+    del ids[at]
+    younger = places[ids[at]] + THREAD_NEXT if at < len(ids) else layout.W_THREADS
+    w[younger] = w[place + THREAD_NEXT]
     if place + THREAD_WORDS != block.top:
         return
     frame = w[place + THREAD_FRAME]
@@ -115,10 +113,21 @@ def unlink(block: Block, identity: int) -> None:
 def still_image(block: Block) -> bytes:
     """The block but for the states of its threads: equal when nothing that a program sees differs."""
     w = block.w
-    states = [(place + THREAD_STATE, w[place + THREAD_STATE]) for place in threads(block)]
-    for word, _ in states:
+    words = [place + THREAD_STATE for place in _places(block).values()]
+    states = [w[word] for word in words]
+    for word in words:
         w[word] = 0
     image = bytes(block.image())
-    for word, state in states:
+    for word, state in zip(words, states, strict=True):
         w[word] = state
     return image
+
+
+def _places(block: Block) -> Places:
+    """Where the threads are, looked up where the heap has moved."""
+    places = block.places
+    if places is None:
+        w = block.w
+        youngest_first = [(w[place + THREAD_ID], place) for place in threads(block)]
+        places = block.places = Places(reversed(youngest_first))
+    return places

@@ -1,0 +1,76 @@
+"""A thousand threads in one block: each is found at once, in whichever order they end."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Callable
+
+import pytest
+
+from lfield.clock import ManualClock
+from lfield.testing.golden import Desk, compile_text, settle
+from lfield.vm.agent import Member
+from lfield.vm.contract import Limits
+from lfield.vm.machine import Machine
+from lfield.vm.memory.block import Block
+from lfield.vm.memory.collector import collect
+from lfield.vm.memory.layout import THREAD_ID, Layouts
+from lfield.vm.memory.threads import count, new_thread, place_of, thread_template, threads, unlink
+
+PROGRAM = """
+resource Gate {
+  int sum;
+  init(string[] arg) { }
+  portal pass(int number) emit int {
+    for (int i = 0; i < 5; i = i + 1) { sleep(0.1); sum = sum + 1; }
+    return number;
+  }
+}
+coordinator Walker {
+  init(string[] arg) { int number = s2i(arg[1]); if (findGate("gate").pass(number) != number) print("no"); }
+}
+"""
+
+
+def crowd(size: int, desk: Desk, clock: ManualClock) -> Machine:
+    """So many coordinators, who have not begun, before one gate."""
+    team = [Member(0, "gate", "Gate", "resource", 0)]
+    team += [Member(n, f"w{n}", "Walker", "coordinator", 0, (str(n),)) for n in range(1, size + 1)]
+    made = Machine(compile_text(PROGRAM), team, 0, 1, desk, clock, random.Random(1))
+    for member in team:
+        made.start(member, Limits(threads=size), generation=1)
+    return made
+
+
+def test_ten_times_as_many_threads_cost_ten_times_as_much(
+    steps: Callable[[Callable[[], object]], int],
+) -> None:
+    taken = []
+    for size in (30, 300):
+        desk, clock = Desk(), ManualClock()
+        made = crowd(size, desk, clock)
+        taken.append(steps(lambda made=made, clock=clock: settle(made, clock)))  # type: ignore[misc]
+        assert made.agents["gate"].served == size
+        assert count(made.agents["gate"].block) == 0
+    assert taken[1] < 12 * taken[0]
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_threads_are_found_where_the_list_has_them(seed: int) -> None:
+    """However they come and go, and whether the heap moves meanwhile."""
+    dice, block = random.Random(seed), Block.empty(bytes(32), 1 << 20)
+    layouts = Layouts(compile_text(PROGRAM))
+    template = thread_template(0, layouts.frame_words[0], 0)
+    living: list[int] = []
+    for _ in range(400):
+        if dice.random() < 0.1:
+            collect(block, layouts)
+        if living and dice.random() < 0.45:
+            gone = living.pop(dice.randrange(len(living)))
+            unlink(block, gone)
+            assert place_of(block, gone) == 0
+        elif block.top + 256 < block.end:
+            living.append(new_thread(block, template, [], 7))
+        assert count(block) == len(living)
+        assert [block.w[place + THREAD_ID] for place in threads(block)] == living[::-1]
+        assert [place_of(block, thread) for thread in reversed(living)] == [*threads(block)]
