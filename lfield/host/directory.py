@@ -2,7 +2,8 @@
 
 Every host looks at its agents once in LOOK_EVERY seconds and tells the others what has changed, in one
 message for all agents. A host that is linked anew is told everything once. In a program that names no
-capability of a registry nothing of all this happens.
+capability of a registry nothing of all this happens: of agents that no registry knows it is looked up what
+this host knows anyway, when somebody asks.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from typing import Protocol
 from msgspec.structs import replace
 
 from lfield.capability.directory.directory import Directory, Links
-from lfield.capability.directory.news import News, Reserved
+from lfield.capability.directory.news import News, Reserved, Trouble
 from lfield.capability.model import Registry
 from lfield.capability.offer import Candidate, Fact
 from lfield.clock import Clock
@@ -22,6 +23,7 @@ from lfield.host.telling.asking import Asking, Machine
 from lfield.host.telling.reports import Reports, said
 from lfield.host.telling.sampling import Devices, Sampler
 from lfield.mission.mission import Mission
+from lfield.mission.team import Deployed
 from lfield.mobility.effects import Send
 from lfield.wire.fields import age, clip
 from lfield.wire.messages import Hello, Report
@@ -39,7 +41,8 @@ class Neighbours(Devices, Links, Protocol):
 
 
 class TeamDirectory:
-    """Keeps the `directory` of a host up to date. Only agents that the `registry` knows are in it.
+    """Keeps the `directory` of a host up to date. Only agents that the `registry` knows are in it; whether
+    the other resources of the team can be called is asked of their devices here, and of the links.
 
     `life` tells this run of the host from the next, `machine` runs its agents. What is to be told to others
     comes back as messages to send.
@@ -56,9 +59,12 @@ class TeamDirectory:
     ) -> None:
         self.registry = registry = mission.stated or NO_REGISTRY
         agents = mission.team.deployed
-        self._clock = clock
+        self._here, self._nearby, self._clock = name, nearby, clock
         pose = mission.bindings.frames.place(name)
         self.directory = Directory(registry, agents, name, nearby, clock, life, pose)
+        others = {each.id for each in mission.team.members if each.kind == "resource"}
+        #: The resources that no registry knows.
+        self._others = [a for a in agents if a.id in others and a.type not in registry.providers]
         self._reports = Reports(registry, agents)
         fields = {agent.id: mission.bindings.devices.get(agent.id, {}) for agent in agents}
         bound = mission.bindings.attributes
@@ -119,15 +125,26 @@ class TeamDirectory:
         return self._reports.write(news, self._clock.monotonic())
 
     def refusals(self) -> dict[str, str]:
-        """Why each agent cannot be called, '' when it can, as it was at the last look."""
+        """Why each resource of the team cannot be called, '' when it can, as it was at the last look."""
         self.directory.asker = ""
-        return {candidate.agent: candidate.refusal for candidate in self.directory.everybody()}
+        known = {candidate.agent: candidate.refusal for candidate in self.directory.everybody()}
+        return known | {agent.id: self._refusal(agent) for agent in self._others}
+
+    def _refusal(self, agent: Deployed) -> str:
+        """Why a resource that no registry knows cannot be called, as far as this host knows."""
+        if agent.host == self._here:
+            why = self._sampler.trouble(agent.id) or self.reserved(agent.id)
+        else:
+            since = self._nearby.away.get(agent.host)
+            why = None if since is None else Trouble("unreachable", since)
+        return "" if why is None else why.sentence(self._clock.monotonic())
 
     def told(self) -> list[Told]:
-        """For whoever asks from outside: how every agent is now."""
+        """For whoever asks from outside: how every resource is now."""
         self.look()
         self.directory.asker = ""
-        return [self._told(candidate) for candidate in self.directory.everybody()]
+        known = [self._told(candidate) for candidate in self.directory.everybody()]
+        return known + [Told(agent.id, clip(self._refusal(agent)), {}, {}) for agent in self._others]
 
     def _told(self, candidate: Candidate) -> Told:
         own = self.registry.agents.get(candidate.agent, {})

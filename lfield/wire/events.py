@@ -278,7 +278,7 @@ class Standing(Struct, frozen=True, array_like=True, forbid_unknown_fields=True,
     waits: Label
 
 
-#: What changes once and is told once: no watcher that reads loses one.
+#: What changes once and is told once: no watcher that keeps up loses one.
 State = (
     Started
     | Finished

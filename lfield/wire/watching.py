@@ -41,11 +41,12 @@ class Watch(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, ta
 class Events(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=41):
     """What happened: the `batch` counts from 1 since the Watch.
 
-    Its states are those after number `after`, without a gap; the host's last one was `latest` when this was
-    sent, at `now` (Unix time) and `up` (seconds of its monotonic clock). `lost` says by kind how many events
-    this watcher will never hear of, since the batch before; of states these are the ones before `after` that
-    the host has no more (as 'state'). `snapshot` is how the host was just after `latest`: in the first batch
-    of whoever knew nothing before, and when states were lost.
+    Its states are in the order of their numbers, and begin after number `after`; the host's last one was
+    `latest` when this was sent, at `now` (Unix time) and `up` (seconds of its monotonic clock). `lost` says
+    by kind how many events this watcher will never hear of, since the batch before; of states (as 'state')
+    these are the ones whose numbers are missing, from the batch before to `after` and between its states.
+    `snapshot` is how the host was just after `latest`: in the first batch of whoever knew nothing before, and
+    in one without states before states are lost.
     """
 
     incarnation: Count

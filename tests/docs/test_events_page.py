@@ -30,6 +30,11 @@ def test_the_page_has_every_kind_with_its_fields(section, kinds):
     assert rows(section) == {kind: KINDS[kind].__struct_fields__ for kind in kinds}
 
 
+def test_the_page_says_what_is_kept_apart():
+    apart = PAGE.split("very often (")[1].split(")")[0]
+    assert {KINDS[kind] for kind in re.findall(r"`(\w+)`", apart)} == stream.OFTEN
+
+
 def told(allowance):
     """As the page says it."""
     return f"{allowance.burst:g} at once and {allowance.rate:g} a second"
@@ -40,6 +45,7 @@ def test_the_bounds_of_the_page_are_those_of_the_code():
     assert budget.HOPS == budget.PORTALS
     for bound in (
         f"| {stream.MOST_EVENTS}, and {stream.MOST_BYTES >> 20} MiB",
+        f"| {stream.SELDOM_EVENTS}, and {stream.SELDOM_BYTES >> 20} MiB",
         f"| {WINDOW}, of {watcher.BATCH_BYTES >> 10} KiB",
         f"not read for {watcher.PATIENCE:g} s",
         f"one host | {watchers.MOST};",

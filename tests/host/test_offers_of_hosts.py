@@ -229,7 +229,13 @@ def test_nothing_is_asked_or_sent_for_a_program_that_names_no_capability(fleet):
         await asyncio.sleep(10.0)
         assert team.network.sent["Report"] == 0
         assert near.asked == far.asked == 0
-        assert alpha.host.status().directory == []
+        # Whether they can be called is known all the same.
+        assert [(t.agent, t.refusal, t.facts) for t in alpha.host.status().directory] == [
+            ("near", "", {}),
+            ("small", "", {}),
+            ("far", "", {}),
+        ]
+        assert near.asked == far.asked == 0
 
     fleet(story)
 

@@ -43,7 +43,6 @@ SMALL = {
     "lfield/host/process/stop_words.py": "what ends a host",
     "lfield/host/dumping.py": "where the block of a dead agent goes",
     "lfield/host/logbook.py": "the two streams of a host",
-    "lfield/host/sight/stream.py": "the ring of a host's states",
     "lfield/host/surroundings.py": "what the core may look at",
     "lfield/net/control.py": "the door of a fake, from outside",
     "lfield/net/guests.py": "who may wait at the door before the greeting",

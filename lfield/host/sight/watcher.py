@@ -1,8 +1,10 @@
 """What one watcher of a host is told, and when: batches of states and telemetry, as it keeps up. Pure.
 
-It gets every state in its turn, as long as the stream has it. Telemetry waits until there is room and no
-state left: of each device and agent only the newest, and what that replaced is counted. At most WINDOW
-batches are on their way; who does not read them gets no more, and its host does nothing for it but count.
+It gets every state in its turn, as long as the stream has it. Who falls behind that while it watches is not
+fed from the oldest end, where it would lose some more with every batch: it hears what happened seldom, how
+many others it has lost, and goes on with what is live. Telemetry waits until there is room and no state left:
+of each device and agent only the newest, and what that replaced is counted. At most WINDOW batches are on
+their way; who does not read them gets no more, and its host does nothing for it but count.
 """
 
 from __future__ import annotations
@@ -37,7 +39,12 @@ class Watcher:
             self._after = stream.latest
         else:
             self._after = min(watch.after, stream.latest) if watch.incarnation == life else 0
-        self._snapshot = watch.incarnation != life
+        #: The newest when it began, or last fell behind.
+        #: Of what happens often it hears what follows `_often_after`.
+        self._past, self._often_after = stream.latest, 0
+        self._snapshot = watch.incarnation != life or self._after < stream.forgotten
+        #: Whether a snapshot was the last that it was sent.
+        self._shown = False
         self._batch = self._seen = 0
         self._lost: Counter[str] = Counter()
         self._owed: dict[str, Event] = {}
@@ -96,15 +103,12 @@ class Watcher:
         if self._seen == self._batch:
             # From here on it is waited for.
             self._heard = up
-        if (missing := self._stream.oldest - 1 - self._after) > 0:
-            self._lost["state"] += missing
-            self._after += missing
-            self._snapshot = True
         after, told, shown = self._after, list[Event](), None
-        if self._snapshot:
-            shown, self._snapshot = snapshot(), False
+        # However slowly it reads, behind a snapshot it hears something.
+        if self._snapshot or (not self._shown and self._falls_behind()):
+            shown, self._snapshot, self._shown = snapshot(), False, True
         else:
-            told = self._told()
+            (after, told), self._shown = self._told(), False
         self._batch += 1
         self.next = up + LEAST
         lost, self._lost = dict(self._lost), Counter()
@@ -119,16 +123,31 @@ class Watcher:
         self._batch += 1
         return Events(self._life, self._batch, at, up, self._after, self._stream.latest, [], lost)
 
-    def _told(self) -> list[Event]:
-        """The next states; where they leave room, telemetry too."""
-        told, size = self._stream.after(self._after, MAX_EVENTS, BATCH_BYTES)
-        self._after += len(told)
-        if self._after < self._stream.latest:
-            return told
+    def _falls_behind(self) -> bool:
+        """Whether the stream has forgotten what was to come next: then it goes on with what is live."""
+        stream = self._stream
+        if stream.forgotten <= max(self._after, self._past):
+            return False
+        self._past = self._often_after = stream.latest
+        return True
+
+    def _told(self) -> tuple[int, list[Event]]:
+        """The next states, and the number that they follow; where they leave room, telemetry too."""
+        stream, before = self._stream, self._after
+        told, size = stream.after(before, MAX_EVENTS, BATCH_BYTES, self._often_after)
+        self._after = told[-1].number if told else stream.latest
+        if missing := self._after - before - len(told):
+            self._lost["state"] += missing
+        after = told[0].number - 1 if told else self._after
+        if self._after == stream.latest:
+            self._beside(told, size)
+        return after, told
+
+    def _beside(self, told: list[Event], size: int) -> None:
+        """Telemetry, as far as there is room."""
         for key, event in list(self._owed.items()):
             size += size_of(event)
             if len(told) >= MAX_EVENTS or (told and size > BATCH_BYTES):
                 break
             told.append(event)
             del self._owed[key]
-        return told

@@ -68,7 +68,7 @@ class Sampler:
 
         What its binding states counts before that.
         """
-        bound, trouble = self._bound.get(agent, {}), self._trouble(agent)
+        bound, trouble = self._bound.get(agent, {}), self.trouble(agent)
         if not live and not bound and trouble is None:
             return SILENCE
         found = {name: self._sample(agent, live[name]) for name in live if name not in bound}
@@ -76,7 +76,8 @@ class Sampler:
         unknown = {name: why for name, why in found.items() if isinstance(why, str)}
         return Condition(trouble, {**samples, **bound}, unknown)
 
-    def _trouble(self, agent: str) -> Trouble | None:
+    def trouble(self, agent: str) -> Trouble | None:
+        """Why an agent of this host cannot be called now; None when it can."""
         running = self._agents.get(agent)
         if running is None:
             return Trouble("its host does not run it")

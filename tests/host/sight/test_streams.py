@@ -12,13 +12,13 @@ from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, 
 from lfield.clock import ManualClock
 from lfield.host.sight.budget import Allowance, Budget
 from lfield.host.sight.hops import Hops
-from lfield.host.sight.stream import MOST_EVENTS, Stream, size_of
+from lfield.host.sight.stream import MOST_EVENTS, OFTEN, Ring, Stream, size_of
 from lfield.host.sight.teller import Teller
 from lfield.host.sight.watcher import BATCH_BYTES, LEAST, PATIENCE, QUIET, Watcher
 from lfield.mobility.effects import Departed
 from lfield.wire.codec import encode
 from lfield.wire.coordinators import Transfer
-from lfield.wire.events import Latched, Logged, Measured, Skipped
+from lfield.wire.events import KINDS, TELEMETRY, Latched, Logged, Measured, Skipped, Stopped
 from lfield.wire.fields import MAX_TEXT
 from lfield.wire.observing import Status
 from lfield.wire.watching import MAX_EVENTS, WINDOW, Watch
@@ -30,6 +30,11 @@ STATUS = Status("a", "a:1", 0.5, b"h" * 32, b"h" * 32, [], [], [], [], [])
 def told(stream, count, text="x"):
     for _ in range(count):
         stream.tell(Logged(text), 1.7e9, 1.0)
+
+
+def small(most_events, most_bytes=4 << 20):
+    """A stream that forgets soon what happens often."""
+    return Stream(Ring(most_events, most_bytes))
 
 
 def watched(stream, watch=None, up=0.0):
@@ -58,12 +63,12 @@ def numbers(batch):
     st.integers(1, 2000),
 )
 def test_the_ring_has_the_newest_states_and_no_more_than_it_may(sizes, most_events, most_bytes):
-    stream = Stream(most_events, most_bytes)
+    stream = small(most_events, most_bytes)
     for size in sizes:
         stream.tell(Logged("x" * size), 1.0, 2.0)
-    kept, total = stream.after(stream.oldest - 1, 10**6, 10**9)
+    kept, total = stream.after(0, 10**6, 10**9)
     assert stream.latest == len(sizes)
-    assert [event.number for event in kept] == list(range(stream.oldest, stream.latest + 1))
+    assert [event.number for event in kept] == list(range(stream.forgotten + 1, stream.latest + 1))
     assert len(kept) <= most_events
     assert total == sum(map(size_of, kept))
     assert total <= most_bytes or len(kept) == 1
@@ -75,6 +80,29 @@ def test_what_is_told_has_its_cause_and_its_times():
     stream.tell(Logged("latched"), 1.7e9 + 1, 6.0, first)
     _, event = stream.after(0, 9, 999)[0]
     assert (event.number, event.at, event.up, event.cause) == (2, 1.7e9 + 1, 6.0, 1)
+
+
+def test_what_happens_often_pushes_out_nothing_that_happens_seldom():
+    stream = small(10)
+    stream.tell(Stopped("anna", "fire"), 1.0, 1.0)
+    told(stream, 50)
+    stream.tell(Latched("a.fc", "land", "fire"), 1.0, 1.0)
+    told(stream, 50)
+    kept, _ = stream.after(0, 99, 9999)
+    assert [event.number for event in kept] == [1, 52, *range(93, 103)]
+    assert (stream.latest, stream.forgotten) == (102, 92)
+    # Of what happens often some can be left out.
+    assert [event.number for event in stream.after(1, 99, 9999, 100)[0]] == [52, 101, 102]
+
+
+def test_what_is_a_matter_of_safety_happens_seldom():
+    often = {kind for kind, struct in KINDS.items() if struct in OFTEN}
+    assert often == {
+        *("printed", "logged", "skipped", "left", "came", "hopped", "stayed"),
+        *("began", "ended", "asked", "answered"),
+    }
+    seldom = KINDS.keys() - often - TELEMETRY
+    assert {"stopped", "paused", "latched", "confirmed", "moving", "released", "unlinked"} <= seldom
 
 
 # --- where a watcher begins -----------------------------------------------------------------------------
@@ -123,13 +151,13 @@ def test_who_has_heard_more_than_was_ever_told_hears_what_comes():
 
 
 def test_what_fell_out_of_the_ring_is_counted_and_made_up_by_a_snapshot():
-    stream = Stream(most_events=10)
+    stream = small(10)
     told(stream, 100)
     watcher = watched(stream, Watch(LIFE, 20))
     first, second = batch_of(watcher, 0.0), batch_of(watcher, LEAST)
-    assert (first.lost, first.after, first.latest) == ({"state": 70}, 90, 100)
+    assert (first.lost, first.after, first.latest, first.events) == ({}, 20, 100, [])
     assert first.snapshot is STATUS
-    assert (numbers(second), second.lost) == (list(range(91, 101)), {})
+    assert (numbers(second), second.after, second.lost) == (list(range(91, 101)), 90, {"state": 70})
 
 
 # --- when, and how much ---------------------------------------------------------------------------------
@@ -163,7 +191,7 @@ def test_a_batch_is_small_however_much_has_happened():
 
 
 def test_a_batch_has_no_more_events_than_a_message_may():
-    stream = Stream(most_events=4 * MAX_EVENTS)
+    stream = small(4 * MAX_EVENTS)
     told(stream, 2 * MAX_EVENTS, "")
     assert 0 < len(batch_of(watched(stream), 0.0).events) <= MAX_EVENTS
 
@@ -220,6 +248,105 @@ def test_only_what_was_sent_can_be_seen():
     assert batch_of(watcher, 1.0) is None
     watcher.seen(1, 1.0)
     assert batch_of(watcher, 1.0) is not None
+
+
+# --- who falls behind -----------------------------------------------------------------------------------
+
+
+class Chatty:
+    """A host that keeps 1000 lines, and on which 20 are printed from one batch to the next."""
+
+    def __init__(self):
+        self.stream, self.up = small(1000), 0.0
+        told(self.stream, 2000)
+
+    def ask(self, watch):
+        self.watcher = watched(self.stream, watch, self.up)
+
+    def go_on(self, seconds, *, reads=True, lines=20):
+        """What is sent meanwhile."""
+        sent = []
+        for _ in range(round(seconds / LEAST)):
+            told(self.stream, lines)
+            if batch := batch_of(self.watcher, self.up):
+                sent.append(batch)
+                if reads:
+                    self.watcher.seen(batch.batch, self.up)
+            self.up += LEAST + 1e-6
+        return sent
+
+
+def losses(batches):
+    return [batch.lost["state"] for batch in batches if "state" in batch.lost]
+
+
+def states(batches):
+    return [number for batch in batches for number in numbers(batch)]
+
+
+def test_who_was_away_too_long_hears_of_one_loss_and_then_what_there_is_without_another():
+    host = Chatty()
+    host.ask(Watch(LIFE, 3))
+    sent = host.go_on(5.0)
+    (lost,) = losses(sent)
+    assert [batch.batch for batch in sent if batch.snapshot] == [1]
+    assert states(sent) == list(range(3 + lost + 1, host.stream.latest + 1))
+
+
+def test_who_stops_reading_hears_of_one_loss_and_then_what_is_live():
+    host = Chatty()
+    host.ask(Watch())
+    assert losses(host.go_on(1.0)) == []
+    unread = host.go_on(PATIENCE - 1.0, reads=False)
+    assert len(unread) == WINDOW
+    stopped = host.stream.latest
+    host.watcher.seen(unread[-1].batch, host.up)
+    sent = host.go_on(5.0)
+    assert len(losses(sent)) == 1
+    assert sum(batch.snapshot is not None for batch in sent) == 1
+    # At once: what was told while it did not read it does not wait for.
+    heard = states(sent)
+    assert stopped < heard[0] <= stopped + 3 * 20
+    assert heard == list(range(heard[0], host.stream.latest + 1))
+    assert losses(sent) == [heard[0] - 1 - states(unread)[-1]]
+
+
+def test_who_stops_reading_misses_nothing_that_happens_seldom():
+    host = Chatty()
+    host.ask(Watch())
+    unread = host.go_on(10.0, reads=False)
+    seldom = [Stopped("anna", "fire"), Latched("a.fc", "land", "fire"), Stopped("anna", "", True)]
+    for what in seldom:
+        host.stream.tell(what, 1.7e9, host.up)
+        unread += host.go_on(20.0, reads=False)
+    host.watcher.seen(unread[-1].batch, host.up)
+    sent = host.go_on(2.0)
+    heard = [event.what for batch in sent for event in batch.events]
+    assert [what for what in heard if not isinstance(what, Logged)] == seldom
+    # Which numbers are missing is told as exactly as by their absence.
+    missing = set(range(states(unread)[-1] + 1, host.stream.latest + 1)) - set(states(sent))
+    assert sum(losses(sent)) == len(missing)
+    assert states(sent) == sorted(states(sent))
+
+
+@pytest.mark.parametrize("lines", [15, 60, 200])
+def test_who_reads_too_slowly_loses_much_at_once_and_hears_what_is_new(lines):
+    """It reads a batch in a second; in the last case more is forgotten meanwhile than a batch has."""
+    host = Chatty()
+    host.ask(Watch())
+    sent = []
+    for second in range(50):
+        sent += host.go_on(1.0, reads=False, lines=lines)
+        host.watcher.seen(second + 1, host.up)
+        host.stream.tell(Stopped("anna", "fire"), 1.7e9, host.up)
+    lost = losses(sent)
+    heard = [event for batch in sent for event in batch.events]
+    assert (lost == []) == (lines == 15)
+    # Of two batches one has states, and each of the losses is large.
+    assert len(lost) <= len(sent) // 2
+    assert all(missing > 100 for missing in lost)
+    assert sum(isinstance(event.what, Logged) for event in heard) > 5000
+    assert sum(isinstance(event.what, Stopped) for event in heard) >= 38
 
 
 # --- telemetry ------------------------------------------------------------------------------------------
@@ -280,7 +407,7 @@ class OneWatcher(RuleBasedStateMachine):
 
     def __init__(self):
         super().__init__()
-        self.stream = Stream(40, 4000)
+        self.stream = Stream(Ring(40, 4000), Ring(5, 4000))
         self.up, self.sent, self.seen = 0.0, [], 0
         self.heard, self.lost, self.sampled = [], {"state": 0, "measured": 0}, 0
         self.watcher = watched(self.stream, Watch(LIFE, 0, 20.0))
@@ -289,6 +416,10 @@ class OneWatcher(RuleBasedStateMachine):
     def happen(self, sizes):
         for size in sizes:
             self.stream.tell(Logged("x" * size), 1.0, self.up)
+
+    @rule()
+    def be_stopped(self):
+        self.stream.tell(Stopped("anna", "fire"), 1.0, self.up)
 
     @rule(seconds=st.sampled_from([0.01, LEAST, 0.3, QUIET]))
     def wait(self, seconds):
@@ -310,10 +441,12 @@ class OneWatcher(RuleBasedStateMachine):
         assert batch.batch == len(self.sent)
         for kind, count in batch.lost.items():
             self.lost[kind] += count
-        states = [event for event in batch.events if event.kind == "logged"]
-        assert [e.number for e in states] == list(range(batch.after + 1, batch.after + len(states) + 1))
-        assert batch.after == len([e for e in self.heard if e.kind == "logged"]) + self.lost["state"]
-        assert ("state" in batch.lost) <= (batch.snapshot is not None)
+        states = [event.number for event in batch.events if event.kind != "measured"]
+        assert states == sorted(set(states))
+        assert not states or batch.after == states[0] - 1
+        # Whatever it has not heard up to there it was told to be lost.
+        heard = sum(event.kind != "measured" for event in [*self.heard, *batch.events])
+        assert heard + self.lost["state"] == max([batch.after, *states])
         assert sum(map(size_of, batch.events)) <= BATCH_BYTES
         self.heard += batch.events
 
@@ -334,7 +467,7 @@ class OneWatcher(RuleBasedStateMachine):
             self.seen = len(self.sent)
             self.up += LEAST
             self.turn()
-        states = sum(event.kind == "logged" for event in self.heard)
+        states = sum(event.kind != "measured" for event in self.heard)
         assert states + self.lost["state"] == self.stream.latest
         measured = sum(event.kind == "measured" for event in self.heard)
         assert measured + self.lost["measured"] == self.sampled
@@ -348,7 +481,7 @@ TestOneWatcher = OneWatcher.TestCase
 @given(st.lists(st.tuples(st.integers(0, 40), st.integers(0, 3)), max_size=80))
 def test_who_reads_all_the_time_loses_no_state(steps):
     """It reads one batch in each step, and no more happens in one than the ring of a host may have."""
-    stream, up, read = Stream(400, 64 << 10), 0.0, []
+    stream, up, read = small(400, 64 << 10), 0.0, []
     watcher = watched(stream, Watch(LIFE, 0, 20.0))
     for count, devices in steps:
         told(stream, count, "x" * 50)

@@ -6,6 +6,7 @@ import asyncio
 from collections.abc import Awaitable, Callable
 
 import pytest
+from msgspec.structs import replace
 from sight_script import Teller
 
 from lfield.errors import AddressError
@@ -197,6 +198,20 @@ def test_what_was_heard_before_is_left_out_and_gaps_are_told() -> None:
     late = cursor.took(host.batch(3.0, Linked("d")))
     assert (late.lost, [event.number for event in late.events]) == ({"state": 1}, [4])
     assert cursor.watch(7) == Watch(7, 4)
+
+
+def test_what_is_missing_is_counted_by_its_numbers_and_once() -> None:
+    cursor, host = Cursor(), Teller()
+    cursor.took(host.batch(1.0, Linked("a")))
+    told = host.batch(2.0, *(Linked(text) for text in "bcdef"))
+    kept = replace(told, events=[event for event in told.events if event.number in (3, 6)], lost={"state": 3})
+    assert cursor.took(kept).lost == {"state": 3}
+    # It comes again, since it was on its way when the host was asked anew.
+    again = cursor.took(kept)
+    assert (again.lost, again.events) == ({}, [])
+    # Of what is at the end of a batch the number says nothing until something follows.
+    ends = replace(host.batch(3.0), after=9, latest=9, lost={"state": 3, "measured": 1})
+    assert cursor.took(ends).lost == {"state": 3, "measured": 1}
 
 
 def test_telemetry_has_no_number_of_its_own_and_is_never_left_out() -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
+import pytest
 from eyes import Eye, chain, watch
 from msgspec import structs
 
@@ -138,14 +139,23 @@ def test_what_nobody_looks_after_comes_down_because_of_whoever_has_left_it(tmp_p
         assert event.cause > 0
 
 
-def test_who_can_be_called_and_who_no_more_is_told_with_its_cause(tmp_path: Path) -> None:
-    (tmp_path / "mission.L").write_text(HOISTS)
-    (tmp_path / "mission.capabilities.yaml").write_text(CAPABILITIES)
+@pytest.mark.parametrize("asks_for_capabilities", [True, False])
+def test_who_can_be_called_and_who_no_more_is_told_with_its_cause(
+    tmp_path: Path, asks_for_capabilities: bool
+) -> None:
+    if asks_for_capabilities:
+        (tmp_path / "mission.L").write_text(HOISTS)
+        (tmp_path / "mission.capabilities.yaml").write_text(CAPABILITIES)
+    else:
+        (tmp_path / "mission.L").write_text(HOISTS.replace("Lift[] who = findLift();", ""))
     (tmp_path / "mission.dL").write_text("//Hoist:one@alpha\n//Hoist:two@bravo\n//Foreman:foreman@alpha\n")
     fleet = Fleet(load_mission(tmp_path / "mission.dL", simulate=True), 1)
     fleet.run(10.0)
     eye = watch(fleet, "alpha")
     fleet.run(3.0)
+    snapshot = eye.batches[0].snapshot
+    assert snapshot is not None
+    assert [(told.agent, told.refusal) for told in snapshot.directory] == [("one", ""), ("two", "")]
     assert not eye.of(events.Withdrawn) + eye.of(events.Offered)
     eye.say(EmergencyStop("why"))
     fleet.crash("bravo")

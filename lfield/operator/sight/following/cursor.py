@@ -35,20 +35,23 @@ class Cursor:
         return Watch(_NO_LIFE if self._missed else 0, 0, self._telemetry)
 
     def took(self, batch: Events) -> Events:
-        """The batch without what was heard before; states that nobody has any more are among the lost."""
+        """The batch without what was heard before; the states whose numbers are missing are the lost ones.
+
+        Of a life that was not heard of before all counts that is told, and what came before is not lost to
+        whoever begins with now: of that the host knows what is lost.
+        """
         self._failures = 0
-        same, known = batch.incarnation == self.incarnation, self.number
-        if not same:
-            # Of a life that was not heard of before all counts that is told, and what came before is not lost
-            # to whoever begins with now.
-            known = batch.after
-        gap = max(0, batch.after - known)
-        lost = dict(batch.lost)
-        if gap > lost.get(STATE, 0):
-            lost[STATE] = gap
+        same = batch.incarnation == self.incarnation
+        known = self.number if same else batch.after
+        states = {e.number for e in batch.events if not isinstance(e.what, Measured | Standing)}
         fresh = [e for e in batch.events if isinstance(e.what, Measured | Standing) or e.number > known]
         last = max((event.number for event in batch.events), default=0)
         self.incarnation, self.number = batch.incarnation, max(known, batch.after, last)
+        lost = dict(batch.lost)
+        if same:
+            lost.pop(STATE, None)
+            if (missing := self.number - known - sum(number > known for number in states)) > 0:
+                lost[STATE] = missing
         return replace(batch, events=fresh, lost=lost)
 
     def nobody(self) -> None:
