@@ -1,7 +1,8 @@
 """Who is at the other end of a Unix socket of this computer: the kernel says it, and nobody else can.
 
 The user who runs the host, and root, may all. Members of the group `lfield` may look, and make everything
-safe; they are those that a service's folder lets in. Anybody else may nothing.
+safe; they are those that the folder of a service's run lets in, and that of a run that root or a member has
+begun. Anybody else may nothing.
 
 Whoever calls has to know whom it believes, for an answer may say that all is stopped: its own user, root, and
 who is in the group `lfield`, as services are. Root believes everybody: it looks for the hosts of all users,
@@ -82,6 +83,12 @@ def _number_of_group() -> int | None:
     with suppress(KeyError):
         return grp.getgrnam(GROUP).gr_gid
     return None
+
+
+def sharing() -> int | None:
+    """The number of the group `lfield`, where this process may give files to it: as root, or as a member."""
+    group = _number_of_group()
+    return group if os.geteuid() == ROOT or group in (os.getegid(), *os.getgroups()) else None
 
 
 def oneself(owner: int) -> Identity:

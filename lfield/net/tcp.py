@@ -131,7 +131,11 @@ def _bound(path: Path) -> socket.socket:
     made = socket.socket(socket.AF_UNIX)
     try:
         made.bind(str(path))
-        path.chmod(0o660 if path.parent.stat().st_mode & stat.S_IXGRP else 0o600)
+        folder = path.parent.stat()
+        for_group = folder.st_mode & stat.S_IXGRP
+        if for_group and path.lstat().st_gid != folder.st_gid:
+            os.chown(path, -1, folder.st_gid)
+        path.chmod(0o660 if for_group else 0o600)
     except OSError:
         made.close()
         raise

@@ -29,6 +29,7 @@ from lfield.driver.plugin import load_plugin
 from lfield.driver.plugins import Plugins
 from lfield.errors import DevicesError, NoEngine
 from lfield.guard.confine import strength
+from lfield.net.door import GROUP, sharing
 from lfield.vm.wasm.choice import has_wasm, wasm_engine
 
 #: Serial ports that robots have: USB adapters, boards with native USB, the pins of a Raspberry Pi or Jetson.
@@ -63,6 +64,19 @@ def system(plugins: Plugins, root: Path = Path("/")) -> Iterator[Finding]:
     yield _clock()
     yield _promptness()
     yield confinement()
+    yield shared_runs()
+
+
+def shared_runs() -> Finding:
+    """Whether the group may see and stop what this user starts."""
+    if sharing() is not None:
+        return Finding("ok", f"members of the group {GROUP} may look at what this user starts, and stop it")
+    join = "" if os.geteuid() == 0 else f" && sudo usermod -aG {GROUP} $USER, then log in again"
+    return Finding(
+        "note",
+        "nobody but this user and root may look at what this user starts, and stop it",
+        f"for a group that may: sudo groupadd --force {GROUP}{join}",
+    )
 
 
 def engine() -> Finding:

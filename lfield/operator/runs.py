@@ -4,15 +4,14 @@
         note.json     what runs: the mission, who started it and when, where its hosts are (Note)
         alpha.sock    the Unix socket of each host that runs here, for ps, query and estop
 
-The base is `/run/lfield` where a service manager has made that, then readable by its group; else `lfield` in
-the user's runtime folder, or one in the temporary folder. A run lives as long as a process of it holds the
-lock of its note: a number of a process may be another's tomorrow, a lock goes with whoever held it. It is one
-for writing, and of an open file (F_OFD_SETLK): who may only read the note, as a group, cannot take it.
-What is left of a run that was killed is tidied up by the next command of its user.
+The bases are in `places`; where one is open to a group, so are the run, its note and its sockets. A run lives
+as long as a process of it holds the lock of its note: a number of a process may be another's tomorrow, a lock
+goes with whoever held it. It is one for writing, and of an open file (F_OFD_SETLK): who may only read the
+note, as a group, cannot take it. What is left of a run that was killed is tidied up by the next command of
+its user.
 
-Who looks may have another environment than who started (sudo, su, cron): all folders are looked into that the
-user's runs can be in without anybody having named another, and root looks into those of all users. What a
-note of another user says is that user's word: it may claim any host of any mission, so it is kept apart.
+What a note of another user says is that user's word: it may claim any host of any mission, so it is kept
+apart.
 """
 
 from __future__ import annotations
@@ -29,7 +28,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
-from typing import Annotated, NamedTuple
+from typing import Annotated
 
 import msgspec
 from msgspec import Meta
@@ -37,8 +36,11 @@ from msgspec import Meta
 from lfield.driver.binding import longest_rest
 from lfield.errors import OutputFileError
 from lfield.mission.mission import Mission
+from lfield.net.door import GROUP
 from lfield.net.stream import UNIX
+from lfield.operator.places import Base, Spot, bases, for_group, looked_into, spots, unseen
 from lfield.text.private import (
+    let_read,
     new_private_folder,
     private_opened,
     read_private,
@@ -48,10 +50,6 @@ from lfield.text.private import (
 from lfield.text.suggest import listed
 from lfield.wire.fields import MAX_LABEL, Name
 
-#: Where the unit of deploy/ has its runs.
-SERVICE = Path("/run/lfield")
-#: Where systemd has the runtime folders of users, by number, and where temporary files usually are.
-RUNTIMES, SHARED = Path("/run/user"), Path("/tmp")
 #: So long the path of a Unix socket may be, in bytes.
 _MAX_SOCKET = 107
 #: A larger note is none; those of another user count as one, and so many of that user's files are looked at.
@@ -126,11 +124,11 @@ class Run:
 class Doors:
     """Where the hosts of a run listen for commands, by name, and the open lock that keeps the run alive.
 
-    Processes that inherit `lock` keep it alive too. Both are empty where no command finds the run.
+    Processes that inherit `lock` keep it alive too.
     """
 
     addresses: Mapping[str, str]
-    lock: tuple[int, ...] = ()
+    lock: int
 
 
 def begun(mission: Mission, file: Path, here: Iterable[str]) -> Note:
@@ -147,50 +145,59 @@ def begun(mission: Mission, file: Path, here: Iterable[str]) -> Note:
 
 
 @contextmanager
-def running(note: Note, unfound: Callable[[OutputFileError], None]) -> Iterator[Doors]:
-    """Let commands on this computer find a run for the duration.
+def running(note: Note, tell: Callable[[str], None]) -> Iterator[Doors]:
+    """Let commands on this computer find a run for the duration; `tell` hears who does not, and should.
 
-    Where that cannot be, or others could change what is said of it, `unfound` hears why: it goes on unfound,
-    unless that raises (see `refuse_unfound`).
+    Raises OutputFileError where no command would: nobody could stop it, or others say what it is.
     """
+    run, lock = _begin(note, tell)
     try:
-        run, lock = _begin(note)
-    except OutputFileError as error:
-        unfound(error)
-        yield Doors({})
-        return
-    try:
-        yield Doors({host: run.door(host) for host in run.note.doors}, (lock,))
+        yield Doors({host: run.door(host) for host in run.note.doors}, lock)
     finally:
         _remove(run.folder)
         os.close(lock)
 
 
-def refuse_unfound(error: OutputFileError) -> None:
-    """For hosts that no other computer can reach either: nobody could stop them. Raises OutputFileError."""
+def _begin(note: Note, tell: Callable[[str], None]) -> tuple[Run, int]:
+    """The folder of a new run, in the best place that can be had, and its lock."""
+    first: OutputFileError | None = None
+    for spot in spots():
+        try:
+            begun = _begin_in(spot, note)
+        except OutputFileError as error:
+            first = first or error
+            continue
+        if first is not None and for_group() and spot.group < 0:
+            tell(f"members of the group {GROUP} do not find this run: {first}")
+        return begun
+    reason = first or OutputFileError(str(temporary_folder()), "others could remove what is in it")
     raise OutputFileError(
-        error.path,
-        f"{error.reason}; no command could find what runs, to stop it: set XDG_RUNTIME_DIR to another folder "
-        "of your own, or remove what is in the way",
-    ) from None
+        reason.path,
+        f"{reason.reason}; no command could find what runs, to stop it: set XDG_RUNTIME_DIR to another "
+        "folder of your own, or remove what is in the way",
+    )
 
 
-def _begin(note: Note) -> tuple[Run, int]:
+def _begin_in(spot: Spot, note: Note) -> tuple[Run, int]:
     """The folder of a new run, and its lock. It appears to others whole and locked, or not at all."""
-    base, for_group = _base()
-    _tidy(base)
+    base = spot.path
     name = re.sub(r"[^A-Za-z0-9_.+-]", "_", Path(note.mission).stem)[:24].lstrip(".") or "run"
     run = Run(base / f"{name}-{secrets.token_hex(4)}", note)
     for door in run.note.doors:
         if len(os.fsencode(run.door(door))) > len(UNIX) + _MAX_SOCKET:
             raise OutputFileError(run.door(door), "the path is too long for a socket; set XDG_RUNTIME_DIR")
+    _tidy(base)
     unfinished = base / f".{secrets.token_hex(8)}"
-    os.close(new_private_folder(unfinished, 0o750 if for_group else 0o700))
+    new_private_folder(unfinished)
     lock = -1
     try:
-        write_private(unfinished / _NOTE, msgspec.json.encode(run.note), 0o640 if for_group else 0o600)
+        write_private(unfinished / _NOTE, msgspec.json.encode(run.note))
         lock = os.open(unfinished / _NOTE, os.O_RDWR | os.O_NOFOLLOW)
         fcntl.fcntl(lock, fcntl.F_OFD_SETLK, _LOCK.pack(fcntl.F_WRLCK, 0, 0, 0, 0))
+        if spot.group >= 0:
+            # Not before it is locked: who may read it could lock it first.
+            for path in (unfinished / _NOTE, unfinished, base):
+                let_read(path, spot.group)
         os.rename(unfinished, run.folder)
     except (OSError, OutputFileError) as error:
         if lock >= 0:
@@ -220,38 +227,27 @@ def _name_of(user: int) -> str:
 
 def runs_here() -> list[Run]:
     """All runs on this computer that live and that this user may see, the oldest first; foreign ones last."""
-    found = [run for base in _bases() for run in _runs_in(base)]
+    found = [run for base in bases() for run in _runs_in(base)]
     return sorted(found, key=lambda run: (run.is_foreign, run.note.started, run.id))
-
-
-def unseen() -> str:
-    """What to do for a service's runs that this user may not see; '' when there can be none."""
-    service = _service() or SERVICE
-    if not service.exists() or os.access(service, os.R_OK | os.X_OK):
-        return ""
-    return f"what runs in {service} this user may not see: use sudo, or join the group of that folder"
 
 
 def nothing_here() -> str:
     """Where a command has looked in vain, and what to do for runs that are elsewhere."""
-    service = _service() or SERVICE
-    places = [service, *_of_user()]
-    if _for_all():
-        places += [RUNTIMES / "*" / "lfield", SHARED / "lfield-*"]
-    looked = listed([str(place) for place in dict.fromkeys(places)])
     hidden = unseen()
     return (
-        f"looked into {looked}; a run that was started with another TMPDIR or XDG_RUNTIME_DIR is found "
-        f"with that set the same{f'; {hidden}' if hidden else ''}"
+        f"looked into {listed(looked_into())}; a run that was started with another TMPDIR or XDG_RUNTIME_DIR "
+        f"is found with that set the same{f'; {hidden}' if hidden else ''}"
     )
 
 
-def _runs_in(base: _Base) -> Iterator[Run]:
+def _runs_in(base: Base) -> Iterator[Run]:
+    left, most = _MAX_NOTE, _MOST_OF_OTHERS if base.is_foreign else None
     if os.geteuid() in base.owners:
-        _tidy(base.path)
-    left = _MAX_NOTE
-    for name in _names_in(base.path, base.owners, _MOST_OF_OTHERS if base.is_foreign else None):
-        folder = base.path / name
+        for path in base.paths:
+            _tidy(path)
+    names = ((path, name) for path in base.paths for name in _names_in(path, base.owners, most))
+    for path, name in islice(names, most):
+        folder = path / name
         if not (_ID.fullmatch(name) and _is_locked(folder)):
             continue
         with suppress(OSError, msgspec.DecodeError, UnicodeDecodeError, RecursionError):
@@ -316,80 +312,3 @@ def _remove(folder: Path) -> None:
             with suppress(FileNotFoundError):
                 os.unlink(name, dir_fd=opened)
         folder.rmdir()
-
-
-# --- where --------------------------------------------------------------------------------------------------
-
-
-def _base() -> tuple[Path, bool]:
-    """Where this process has its run, and whether its group may see that: in a service's folder."""
-    service = _service()
-    if service is not None and service.is_dir():
-        return service, True
-    return _own()[0], False
-
-
-class _Base(NamedTuple):
-    """Where runs can be, and the users whose they can be there; `is_foreign` as of a run."""
-
-    path: Path
-    owners: Collection[int]
-    is_foreign: bool = False
-
-
-def _bases() -> Iterator[_Base]:
-    service = _service() or SERVICE
-    # Where only root may write, the service manager has made it: whoever it belongs to is the service.
-    with suppress(OSError), private_opened(service.parent, (0, os.geteuid())):
-        yield _Base(service, {0, service.lstat().st_uid})
-    own = _of_user()
-    yield from (_Base(base, {os.geteuid()}) for base in own if base != service)
-    if _for_all():
-        for base, owner in _of_others():
-            if base not in (service, *own):
-                yield _Base(base, {owner}, is_foreign=owner != os.geteuid())
-
-
-def _service() -> Path | None:
-    """What systemd's `RuntimeDirectory=lfield` has made for this process."""
-    folders = os.environ.get("RUNTIME_DIRECTORY", "").split(":")
-    return next((Path(folder) for folder in folders if Path(folder).name == "lfield"), None)
-
-
-def _own() -> list[Path]:
-    """The folders of this user for this, the best first."""
-    temporary = temporary_folder() / f"lfield-{os.geteuid()}"
-    runtime = os.environ.get("XDG_RUNTIME_DIR", "")
-    with suppress(OSError):
-        # After `su` it may still be another user's.
-        if runtime and os.stat(runtime).st_uid == os.geteuid():
-            return [Path(runtime) / "lfield", temporary]
-    return [temporary]
-
-
-def _elsewhere() -> bool:
-    """Whether commands look where runs of another environment can be: not with LFIELD_RUNS=here."""
-    return os.environ.get("LFIELD_RUNS", "") != "here"
-
-
-def _for_all() -> bool:
-    return os.geteuid() == 0 and _elsewhere()
-
-
-def _of_user() -> list[Path]:
-    """Where runs of this user can be, whatever the environment was that they were started in."""
-    if not _elsewhere():
-        return _own()[:1]
-    user = str(os.geteuid())
-    usual = [RUNTIMES / user / "lfield", SHARED / f"lfield-{user}"]
-    return list(dict.fromkeys([*_own(), temporary_folder() / f"lfield-{user}", *usual]))
-
-
-def _of_others() -> Iterator[tuple[Path, int]]:
-    """The folders of all users, each with its owner: it counts only in the name of that user."""
-    for base in sorted([*RUNTIMES.glob("*/lfield"), *SHARED.glob("lfield-*")]):
-        name = base.parent.name if base.name == "lfield" else base.name.removeprefix("lfield-")
-        with suppress(OSError):
-            owner = base.lstat().st_uid
-            if name == str(owner):
-                yield base, owner

@@ -3,7 +3,7 @@
 The folder is held open while it is looked at and used: whoever swaps it in between swaps nothing. What is no
 plain file (a fifo, a device, a link) is neither written nor read, so nothing here can block on one.
 
-A group may be let read, by `mode`; it may write nowhere. What another user has written is believed only of
+A group may be let read (`let_read`); it may write nowhere. What another user has written is believed only of
 the `owners` that the caller names.
 """
 
@@ -43,20 +43,47 @@ def private_folder(path: Path) -> Path:
         return path
 
 
-def new_private_folder(path: Path, mode: int = 0o700) -> int:
-    """Make a folder that is not there yet, and return the descriptor that it is open by.
-
-    The one above it is made if there is none. Raises OutputFileError.
-    """
+def new_private_folder(path: Path) -> None:
+    """Make a folder that is not there yet, and the one above it if there is none. Raises OutputFileError."""
     with _made(path.parent) as parent:
         try:
             os.mkdir(path.name, 0o700, dir_fd=parent)
-            folder = os.open(path.name, _FOLDER, dir_fd=parent)
             # Not what the umask leaves of it.
-            os.fchmod(folder, mode)
+            os.chmod(path.name, 0o700, dir_fd=parent)
         except OSError as error:
             raise OutputFileError(str(path), error.strerror or str(error)) from None
-    return folder
+
+
+def let_read(path: Path, group: int) -> None:
+    """Let a group read a folder or plain file of this user, and nobody else; not what is in the folder.
+
+    Where it may already, nothing changes. Raises OutputFileError.
+    """
+    try:
+        opened = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
+        try:
+            found = os.fstat(opened)
+            _check(path, found, (os.geteuid(),))
+            # A service may not chown, and need not.
+            if found.st_gid != group:
+                os.fchown(opened, -1, group)
+            if found.st_gid != group or not found.st_mode & stat.S_IRGRP:
+                os.fchmod(opened, 0o750 if stat.S_ISDIR(found.st_mode) else 0o640)
+        finally:
+            os.close(opened)
+    except OSError as error:
+        raise OutputFileError(str(path), error.strerror or str(error)) from None
+
+
+def keeps(folder: Path) -> bool:
+    """Whether nobody but this user and root can take away what this user makes in a folder."""
+    try:
+        found = folder.stat()
+    except OSError:
+        return False
+    # Its sticky bit leaves everybody what is theirs, but for its owner.
+    is_safe = not found.st_mode & _WRITABLE or found.st_mode & stat.S_ISVTX
+    return found.st_uid in (0, os.geteuid()) and bool(is_safe)
 
 
 def write_private(path: Path, data: bytes, mode: int = 0o600, *, durable: bool = False) -> None:

@@ -64,7 +64,7 @@ SAID_BY_COMMANDS: dict[str, Message] = {
 RULES = Access("mission.access.yaml", (Person("maria", (Right.OBSERVE,), 2), Person("nina", (), 3)))
 #: A member of the group lfield, and whoever is in no group of ours: numbers of users and groups.
 GROUP, USER, OWNER, OTHER = 900, 1001, 1000, 1002
-#: Who calls, in which groups, and the groups of the host: a service is in ours, a user's own run is not.
+#: Who calls, in which groups, and the groups of the host: a service and a member's run are in ours.
 AT_THE_DOOR = {
     "same": (OWNER, {OWNER}, {OWNER}),
     "root": (ROOT, {ROOT}, {OWNER}),

@@ -184,6 +184,16 @@ def test_whoever_may_enter_the_folder_may_call(unix, folder, socket_):
     assert pair.far.link.peer == "a command on this computer"
 
 
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root may give files to any group")
+def test_the_group_of_the_folder_may_call(unix):
+    """Not that of whoever listens, who may have several."""
+    os.chown(unix.folder, -1, 4999)
+    unix.folder.chmod(0o750)
+    Pair(unix)
+    (path,) = unix.folder.iterdir()
+    assert (path.lstat().st_gid, path.lstat().st_mode & 0o777) == (4999, 0o660)
+
+
 def test_a_path_that_will_not_do(unix):
     for address, words in [("unix:here", "unix:/PATH"), (f"unix:/{'x' * 200}", "AF_UNIX path too long")]:
         with pytest.raises(AddressError, match=words):

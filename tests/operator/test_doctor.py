@@ -43,6 +43,15 @@ def test_a_computer_without_ports(findings):
 
 
 @pytest.mark.parametrize(
+    ("group", "state", "words"), [(7, "ok", "members of the group lfield"), (None, "note", "nobody but")]
+)
+def test_who_may_stop_what_this_user_starts(findings, monkeypatch, group, state, words):
+    monkeypatch.setattr("lfield.operator.doctor.sharing", lambda: group)
+    found = one(findings(), words)
+    assert (found.state, "sudo groupadd --force lfield" in found.cure) == (state, group is None)
+
+
+@pytest.mark.parametrize(
     ("installed", "state", "words"), [(True, "ok", "wasmtime "), (False, "note", "the reference engine runs")]
 )
 def test_what_runs_programs_here(findings, monkeypatch, installed, state, words):

@@ -18,8 +18,9 @@ import msgspec
 import pytest
 
 from lfield.errors import OutputFileError
-from lfield.operator import runs
-from lfield.operator.runs import Note, nothing_here, refuse_unfound, running, runs_here, unseen
+from lfield.operator import places, runs
+from lfield.operator.places import Spot, unseen
+from lfield.operator.runs import Note, nothing_here, running, runs_here
 
 DEPLOYMENT = b"d" * 32
 ADDRESSES = {"alpha": "127.0.0.1:4001", "bravo": "127.0.0.1:4002"}
@@ -38,10 +39,12 @@ def folder(tmp_path, monkeypatch):
     """Where this user's runs are."""
     for name in ("temporary", "run"):
         (tmp_path / name).mkdir(mode=0o700)
-    monkeypatch.setattr(runs, "temporary_folder", lambda: tmp_path / "temporary")
-    monkeypatch.setattr(runs, "SERVICE", tmp_path / "run" / "lfield")
-    monkeypatch.setattr(runs, "RUNTIMES", tmp_path / "run" / "user")
-    monkeypatch.setattr(runs, "SHARED", tmp_path / "shared")
+    monkeypatch.setattr(places, "temporary_folder", lambda: tmp_path / "temporary")
+    monkeypatch.setattr(places, "SERVICE", tmp_path / "run" / "lfield")
+    monkeypatch.setattr(places, "RUNTIMES", tmp_path / "run" / "user")
+    monkeypatch.setattr(places, "SHARED", tmp_path / "shared")
+    # What is open to the group is in test_places.
+    monkeypatch.setattr(places, "sharing", lambda: None)
     monkeypatch.delenv("LFIELD_RUNS", raising=False)
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
     monkeypatch.delenv("RUNTIME_DIRECTORY", raising=False)
@@ -57,8 +60,8 @@ def service(tmp_path, monkeypatch):
     return made
 
 
-def begun(note: Note = NOTE, unfound=pytest.fail):
-    return running(note, unfound)
+def begun(note: Note = NOTE):
+    return running(note, pytest.fail)
 
 
 def mode(path: Path) -> int:
@@ -97,18 +100,11 @@ def test_two_runs_of_one_mission_do_not_touch_each_other():
         assert [run.note.started for run in runs_here()] == [10.5]
 
 
-def test_where_no_folder_can_be_made_it_goes_on(folder):
+def test_what_no_command_could_find_does_not_begin(folder, tmp_path):
+    """Nobody could stop it, whatever keys there are."""
     folder.write_text("a file, not a folder")
-    told = []
-    with begun(unfound=told.append) as doors:
-        assert (runs_here(), dict(doors.addresses), doors.lock) == ([], {}, ())
-    assert [str(error) for error in told] == [f"cannot write {folder}: it is not a folder"]
-
-
-def test_what_nobody_else_has_keys_of_does_not_begin_unfound(folder):
-    """Whoever comes first makes /tmp/lfield-0, and root's run could not be stopped."""
-    folder.write_text("somebody's file")
-    with pytest.raises(OutputFileError) as error, begun(unfound=refuse_unfound):
+    (tmp_path / "temporary").chmod(0o777)
+    with pytest.raises(OutputFileError) as error, begun():
         pytest.fail("it runs")
     assert str(error.value) == (
         f"cannot write {folder}: it is not a folder; no command could find what runs, to stop it: set "
@@ -117,14 +113,14 @@ def test_what_nobody_else_has_keys_of_does_not_begin_unfound(folder):
 
 
 def test_a_folder_that_somebody_else_made_ready_is_not_used(folder, tmp_path):
-    """In /tmp anybody can make it first, or a link in its place."""
+    """In /tmp anybody can make it first, or a link in its place: the next one is used, and found."""
     elsewhere = tmp_path / "elsewhere"
     elsewhere.mkdir(mode=0o700)
     folder.symlink_to(elsewhere)
-    told = []
-    with begun(unfound=told.append):
+    with begun():
         assert list(elsewhere.iterdir()) == []
-    assert len(told) == 1
+        (run,) = runs_here()
+        assert run.folder.is_relative_to(tmp_path / "temporary")
     folder.unlink()
     with begun():
         folder.chmod(0o777)
@@ -174,7 +170,7 @@ def test_what_is_left_of_a_killed_run_is_tidied_up(folder):
 
 def test_a_run_lives_while_a_process_that_inherited_its_lock_does(folder):
     """As hosts of `up --all` whose parent was killed: they land their vehicles and answer."""
-    run, lock = runs._begin(NOTE)
+    run, lock = runs._begin(NOTE, pytest.fail)
     child = subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE, pass_fds=[lock])
     os.close(lock)
     assert [found.folder for found in runs_here()] == [run.folder]
@@ -233,11 +229,14 @@ def test_a_folder_too_deep_for_sockets(tmp_path, monkeypatch):
     deep = tmp_path / ("x" * 90)
     deep.mkdir()
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(deep))
-    told = []
-    with begun(unfound=told.append) as doors:
-        assert not doors.addresses
-    assert str(told[0]).endswith("the path is too long for a socket; set XDG_RUNTIME_DIR")
-    assert list(deep.iterdir()) in ([], [deep / "lfield"])
+    with begun():
+        (run,) = runs_here()
+        assert run.folder.is_relative_to(tmp_path / "temporary")
+        assert list(deep.iterdir()) == []
+        with monkeypatch.context() as alone:
+            alone.setenv("LFIELD_RUNS", "here")
+            with pytest.raises(OutputFileError, match="too long for a socket; set XDG_RUNTIME_DIR"), begun():
+                pytest.fail("it runs")
 
 
 def test_the_folder_of_another_user_is_not_taken_for_ours(folder, tmp_path, monkeypatch):
@@ -257,19 +256,19 @@ def test_a_login_with_another_environment_finds_the_run(tmp_path, monkeypatch):
     runtime = tmp_path / "run" / "user" / str(user)
     (tmp_path / "shared").mkdir()
     runtime.mkdir(mode=0o700, parents=True)
-    places = {"runtime": runtime / "lfield", "shared": tmp_path / "shared" / f"lfield-{user}"}
+    where = {"runtime": runtime / "lfield", "shared": tmp_path / "shared" / f"lfield-{user}"}
     with monkeypatch.context() as login:
         login.setenv("XDG_RUNTIME_DIR", str(runtime))
         in_runtime = begun()
         in_runtime.__enter__()
         login.delenv("XDG_RUNTIME_DIR")
-        login.setattr(runs, "temporary_folder", lambda: tmp_path / "shared")
+        login.setattr(places, "temporary_folder", lambda: tmp_path / "shared")
         in_shared = begun(changed(started=11.0))
         in_shared.__enter__()
     try:
         for name in ("", str(tmp_path)):
             monkeypatch.setenv("XDG_RUNTIME_DIR", name)
-            assert [run.folder.parent for run in runs_here()] == list(places.values())
+            assert [run.folder.parent for run in runs_here()] == list(where.values())
         monkeypatch.setenv("LFIELD_RUNS", "here")
         assert runs_here() == []
     finally:
@@ -288,8 +287,8 @@ def test_root_finds_the_runs_of_other_users_in_their_own_name_only(tmp_path, mon
     base = tmp_path / place
     base.parent.mkdir(parents=True)
     with monkeypatch.context() as login:
-        login.setattr(runs, "_base", lambda: (base, False))
-        run, lock = runs._begin(NOTE)
+        login.setattr(runs, "spots", lambda: [Spot(base)])
+        run, lock = runs._begin(NOTE, pytest.fail)
     try:
         owned(base, 4242)
         (found,) = runs_here()
@@ -317,9 +316,9 @@ def of_others(tmp_path, monkeypatch):
 
     def make(**fields):
         with monkeypatch.context() as login:
-            login.setattr(runs, "_base", lambda: (base, False))
+            login.setattr(runs, "spots", lambda: [Spot(base)])
             os.chown(base, 0, 0) if base.exists() else None
-            run, lock = runs._begin(changed(**fields))
+            run, lock = runs._begin(changed(**fields), pytest.fail)
         locks.append(lock)
         owned(base, 4242)
         return run
@@ -382,7 +381,7 @@ def test_a_service_shows_its_runs_to_its_group(service, folder):
 
 def test_who_may_only_read_the_note_of_a_killed_run_cannot_keep_it_listed(service):
     """A member of the group may open folder and note, and lock both for reading."""
-    run, lock = runs._begin(NOTE)
+    run, lock = runs._begin(NOTE, pytest.fail)
     held = [os.open(path, os.O_RDONLY) for path in (run.folder, run.folder / "note.json")]
     for opened in held:
         fcntl.flock(opened, fcntl.LOCK_SH)

@@ -10,7 +10,14 @@ from pathlib import Path
 import pytest
 
 from lfield.errors import OutputFileError
-from lfield.text.private import new_private_folder, private_folder, read_private, write_private
+from lfield.text.private import (
+    keeps,
+    let_read,
+    new_private_folder,
+    private_folder,
+    read_private,
+    write_private,
+)
 
 
 @pytest.fixture
@@ -90,11 +97,48 @@ def test_a_file_that_others_may_write_to_is_not_read(path, others):
 def test_a_group_may_be_let_read_whatever_the_umask(path):
     before = os.umask(0o077)
     try:
-        os.close(new_private_folder(path.parent, 0o750))
-        write_private(path, b"data", 0o640)
+        new_private_folder(path.parent)
+        write_private(path, b"data")
+        for there in (path, path.parent):
+            let_read(there, os.getegid())
     finally:
         os.umask(before)
     assert (mode(path.parent.parent), mode(path.parent), mode(path)) == (0o700, 0o750, 0o640)
+
+
+def test_a_group_that_may_read_already_is_let_be(path):
+    """A service may have given its folder other rights, and may not change whose it is."""
+    path.parent.mkdir(parents=True)
+    path.parent.chmod(0o755)
+    let_read(path.parent, os.getegid())
+    assert mode(path.parent) == 0o755
+
+
+@pytest.mark.parametrize("made", ["link", "writable"])
+def test_a_group_is_not_let_read_what_others_could_have_put_there(path, tmp_path, made):
+    private_folder(path.parent)
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.mkdir(mode=0o700)
+    if made == "link":
+        path.symlink_to(elsewhere)
+    else:
+        path.mkdir()
+        path.chmod(0o770)
+    with pytest.raises(OutputFileError):
+        let_read(path, os.getegid())
+    assert mode(elsewhere) == 0o700
+
+
+@pytest.mark.parametrize(
+    ("others", "kept"), [(0o700, True), (0o755, True), (0o1777, True), (0o777, False), (0o770, False)]
+)
+def test_what_a_folder_keeps(tmp_path, monkeypatch, others, kept):
+    tmp_path.chmod(others)
+    assert keeps(tmp_path) == kept
+    assert not keeps(tmp_path / "nowhere")
+    if os.getuid():
+        monkeypatch.setattr(os, "geteuid", lambda: os.getuid() + 1)
+        assert not keeps(tmp_path)
 
 
 def test_a_new_folder_is_new(path):

@@ -166,7 +166,7 @@ def _run(file: Path, args: argparse.Namespace, *, built: bool = False) -> int:
             raise UsageError("--fresh is for a host on its own: with --all name a new folder with --state")
         from lfield.cli.run.up_all import run_all
 
-        return run_all(mission, file, args)
+        return run_all(mission, file, args, tell)
     return _run_one(mission, args, built=built)
 
 
@@ -194,7 +194,7 @@ def _run_one(mission: Mission, args: argparse.Namespace, *, built: bool) -> int:
     if not _ready(mission, name, args):
         return exits.FAILED
     with (
-        _door(mission, name, proof, args) as door,
+        _door(mission, name, args) as door,
         _setup_named(args, name),
         _journal(mission, name, args) as journal,
     ):
@@ -227,26 +227,19 @@ def _setup_named(args: argparse.Namespace, host: str) -> Iterator[None]:
 
 
 @contextmanager
-def _door(mission: Mission, host: str, proof: Proof | None, args: argparse.Namespace) -> Iterator[str]:
+def _door(mission: Mission, host: str, args: argparse.Namespace) -> Iterator[str]:
     """Where commands of this computer find the host: in its own run, or in that of `--all`.
 
-    Raises OutputFileError for one without keys that would not be found: nobody could stop it.
+    Raises OutputFileError where they would not.
     """
-    from lfield.operator.runs import begun, refuse_unfound, running
+    from lfield.operator.runs import begun, running
 
     if args.leash:
         yield args.door
         return
 
-    def unfound(error: OutputFileError) -> None:
-        if proof is None:
-            refuse_unfound(error)
-        tell(
-            f"commands find {host} over the network only, its mission named and with a person's keys: {error}"
-        )
-
-    with running(begun(mission, mission_path(args), [host]), unfound) as doors:
-        yield doors.addresses.get(host, "")
+    with running(begun(mission, mission_path(args), [host]), tell) as doors:
+        yield doors.addresses[host]
 
 
 def tell(text: str) -> None:

@@ -27,9 +27,10 @@ from lfield.host.process import leash
 from lfield.host.process.stop_words import ECHO, StopWords, hear_signals
 from lfield.mission.team import parse_maps
 from lfield.net.local import reserve
-from lfield.operator.runs import Doors, begun, refuse_unfound, running
+from lfield.operator.runs import Doors, begun, running
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
     from pathlib import Path
 
     from lfield.cli.views.live import LiveView
@@ -49,17 +50,16 @@ LONGEST = 1 << 20
 RAN = (exits.DONE, exits.FAILED, exits.UNSAFE, exits.UNHEARD)
 
 
-def run_all(mission: Mission, file: Path, args: argparse.Namespace) -> int:
+def run_all(mission: Mission, file: Path, args: argparse.Namespace, tell: Callable[[str], None]) -> int:
     """Run every host of the mission in a bundle until all have ended: 0 if all did so normally.
 
-    Nobody else has the keys of the run, so commands reach it on this computer or not at all: it does not
-    start where they would not find it. Raises OutputFileError.
+    `tell` hears which commands would not find it; raises OutputFileError where none would.
     """
     mapped = parse_maps(args.map, mission.team)
     reserved = {host: reserve(mapped.get(host, FREE)) for host in mission.team.hosts}
     addresses = {host: address for host, (_, address) in reserved.items()}
     named = mission_path(args)
-    with running(begun(mission.at(mission.team.at(addresses)), named, addresses), refuse_unfound) as doors:
+    with running(begun(mission.at(mission.team.at(addresses)), named, addresses), tell) as doors:
         return asyncio.run(_Team(mission, file, args, reserved, addresses, doors).run())
 
 
@@ -121,7 +121,7 @@ class _Team:
             stdout=stdout,
             stderr=stderr,
             # With the lock the run lives, for those who look, until its last host has ended.
-            pass_fds=[listening.fileno(), self.keys[host], *self.doors.lock],
+            pass_fds=[listening.fileno(), self.keys[host], self.doors.lock],
             # A Ctrl-C of the terminal is for this process; it stops the hosts in order.
             start_new_session=True,
         )
@@ -155,7 +155,7 @@ class _Team:
         # One word each: what begins with a dash would be taken for another option.
         words += ["--listen-fd", str(listening), "--keys-fd", str(keys)]
         words += ["--engine", args.engine] if args.engine else []
-        words += [f"--door={self.doors.addresses[host]}"] if host in self.doors.addresses else []
+        words.append(f"--door={self.doors.addresses[host]}")
         # Of all hosts: the first with a device that is not set up ends the others before they can tell.
         words.append(f"--setup={setup_command(mission_path(args), devices=args.devices)}")
         for name, address in self.addresses.items():

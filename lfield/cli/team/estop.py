@@ -59,7 +59,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _tell_whom(parties: Sequence[Party], doing: str) -> None:
-    from lfield.operator.runs import unseen
+    from lfield.operator.places import unseen
 
     for party in parties:
         print(clipped(in_one_line(f"{doing} {party.id}: {', '.join(party.addresses)}"), _LINE))

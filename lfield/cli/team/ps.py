@@ -20,7 +20,7 @@ def run(args: argparse.Namespace) -> int:
     from lfield.cli.views import picture, run_table
     from lfield.operator.addressed import names_of
     from lfield.operator.ask import STATUS, ask_parties, by_host, heard, tell_silent, unheard
-    from lfield.operator.runs import unseen
+    from lfield.operator.places import unseen
 
     runs = meant_runs(args)
     parties = meant_parties(args, runs)

@@ -1,0 +1,362 @@
+"""Where runs are: in places that nobody can take from anybody, open to the group where that may be."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import socket
+import tempfile
+from collections.abc import Callable, Collection, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+from lfield.errors import OutputFileError
+from lfield.net import door
+from lfield.operator import places, runs
+from lfield.operator.places import Spot, bases, looked_into, spots
+from lfield.operator.runs import Note, running, runs_here
+
+NOTE = Note("/m/tour.dL", "d" * 64, 7, 10.5, 120.0, {"alpha": "127.0.0.1:4001"}, {"alpha": "alpha.sock"})
+#: Users of these tests by number, and the group `lfield` in them.
+ALICE, BOB, MALLORY, GROUP = 4242, 4243, 4244, 4999
+as_root = pytest.mark.skipif(os.geteuid() != 0, reason="only root can be other users")
+
+
+@pytest.fixture(autouse=True)
+def tmp_path(monkeypatch) -> Iterator[Path]:
+    """What /tmp and /run/user are here; this user has no runtime folder."""
+    # Not pytest's folder: others may not enter it, and the path of a socket may have 107 bytes.
+    with tempfile.TemporaryDirectory(prefix="lf-") as path:
+        made = Path(path)
+        made.chmod(0o755)
+        (made / "shared").mkdir()
+        (made / "shared").chmod(0o1777)
+        monkeypatch.setattr(places, "temporary_folder", lambda: made / "shared")
+        monkeypatch.setattr(places, "SHARED", made / "shared")
+        monkeypatch.setattr(places, "RUNTIMES", made / "user")
+        monkeypatch.setattr(places, "SERVICE", made / "none" / "lfield")
+        for name in ("LFIELD_RUNS", "XDG_RUNTIME_DIR", "RUNTIME_DIRECTORY"):
+            monkeypatch.delenv(name, raising=False)
+        monkeypatch.setattr(door, "_number_of_group", lambda: None)
+        yield made
+
+
+@pytest.fixture
+def shared(tmp_path) -> Path:
+    return tmp_path / "shared"
+
+
+@pytest.fixture
+def usual(shared) -> Path:
+    return shared / f"lfield-{os.geteuid()}"
+
+
+@pytest.fixture
+def group(monkeypatch) -> int:
+    """The group `lfield`, which this user is in."""
+    number = GROUP if os.geteuid() == 0 else os.getegid()
+    monkeypatch.setattr(door, "_number_of_group", lambda: number)
+    return number
+
+
+def mode(path: Path) -> int:
+    return path.lstat().st_mode & 0o777
+
+
+def begun(tell: Callable[[str], None] = pytest.fail):
+    return running(NOTE, tell)
+
+
+def owned(path: Path, user: int, rights: int = 0o700, group: int = -1) -> Path:
+    """A folder of somebody else."""
+    path.mkdir(parents=True)
+    path.chmod(rights)
+    os.chown(path, user, group)
+    return path
+
+
+def as_user(user: int, groups: Collection[int], work: Callable[[], object]) -> None:
+    """Do something as another user, in a process; what it raises fails the test."""
+    child = os.fork()
+    if child == 0:
+        status = 1
+        try:
+            os.setgroups(list(groups))
+            os.setresgid(user, user, user)
+            os.setresuid(user, user, user)
+            work()
+            status = 0
+        except BaseException as error:  # nothing of a child may go on in the tests of its parent
+            os.write(2, f"as user {user}: {type(error).__name__}: {error}\n".encode())
+        finally:
+            os._exit(status)
+    assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
+
+
+@contextmanager
+def begun_by(user: int, groups: Collection[int]) -> Iterator[Path]:
+    """The folder of a run that another user has begun, with the mask of files that is usual."""
+    near, far = socket.socketpair()
+
+    def begin() -> None:
+        os.umask(0o022)
+        run, lock = runs._begin(NOTE, lambda text: None)
+        socket.send_fds(far, [str(run.folder).encode()], [lock])
+
+    as_user(user, groups, begin)
+    data, locks, _, _ = socket.recv_fds(near, 4096, 1)
+    try:
+        yield Path(data.decode())
+    finally:
+        for opened in (*locks, near.fileno(), far.fileno()):
+            os.close(opened)
+        near.detach()
+        far.detach()
+
+
+# --- nobody takes the place away ----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("taken", ["a link", "a file", "a fifo", "writable", "another user's"])
+def test_whoever_takes_the_usual_place_keeps_nobody_from_finding_a_run(usual, shared, taken):
+    """As `mkdir /tmp/lfield-1000` of another user does."""
+    if taken == "a link":
+        usual.symlink_to(shared)
+    elif taken == "a file":
+        usual.write_text("")
+    elif taken == "a fifo":
+        os.mkfifo(usual)
+    elif taken == "writable":
+        usual.mkdir()
+        usual.chmod(0o777)
+    elif os.geteuid() == 0:
+        owned(usual, MALLORY, 0o777)
+    else:
+        usual.symlink_to("/")
+    with begun(), begun():
+        first, second = runs_here()
+        # The second run takes the place of the first: they do not become more and more.
+        assert first.folder.parent == second.folder.parent
+        assert usual.name in first.folder.parent.name
+        assert first.folder.parent != usual
+        assert mode(first.folder.parent) == 0o700
+    assert runs_here() == []
+
+
+def test_where_others_could_remove_a_run_none_begins(shared):
+    shared.chmod(0o777)
+    with pytest.raises(OutputFileError, match="others could remove what is in it; no command could"), begun():
+        pytest.fail("it runs")
+    assert list(shared.iterdir()) == []
+
+
+def test_a_runtime_folder_that_others_may_change_is_none(tmp_path, usual, monkeypatch):
+    (tmp_path / "runtime").mkdir()
+    (tmp_path / "runtime").chmod(0o770)
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path / "runtime"))
+    with begun():
+        assert [run.folder.parent for run in runs_here()] == [usual]
+
+
+def test_where_nothing_may_be_listed_only_the_usual_place_counts(shared, usual, monkeypatch):
+    """What is called otherwise would not be found there."""
+
+    def refused(path: object) -> None:
+        raise PermissionError
+
+    with monkeypatch.context() as closed:
+        closed.setattr(os, "scandir", refused)
+        assert list(spots()) == [Spot(usual)]
+
+
+@pytest.mark.parametrize("here", ["", "here"])
+@pytest.mark.parametrize("runtime", [True, False])
+def test_every_place_where_a_run_may_begin_is_looked_into(tmp_path, usual, monkeypatch, group, here, runtime):
+    usual.write_text("taken")
+    monkeypatch.setenv("LFIELD_RUNS", here)
+    (tmp_path / "own").mkdir(mode=0o700)
+    if runtime:
+        monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path / "own"))
+    for spot in spots():
+        if spot.path != usual:
+            spot.path.mkdir(mode=0o700, exist_ok=True)
+            assert spot.path in [path for base in bases() for path in base.paths]
+
+
+@as_root
+def test_another_user_finds_a_run_whose_usual_place_is_taken_and_so_does_root(shared, tmp_path):
+    owned(shared / f"lfield-{ALICE}", MALLORY, 0o777)
+    with begun_by(ALICE, ()) as folder:
+        assert folder.parent.name.startswith(f"lfield-{ALICE}-")
+
+        def look() -> None:
+            (run,) = runs_here()
+            assert (run.folder, run.id, run.is_foreign) == (folder, folder.name, False)
+
+        as_user(ALICE, (), look)
+        (run,) = runs_here()
+        assert (run.folder, run.id, run.user) == (folder, f"{ALICE}/{folder.name}", str(ALICE))
+
+
+@as_root
+def test_folders_of_another_user_are_as_many_as_anybody_needs(shared):
+    for number in range(9):
+        owned(shared / f"lfield-{MALLORY}-{number:08x}", MALLORY)
+    (other,) = [base for base in bases() if base.is_foreign]
+    assert len(other.paths) == 4
+
+
+@as_root
+def test_notes_in_several_folders_take_no_more_than_in_one(tmp_path, shared, monkeypatch):
+    with begun_by(MALLORY, ()), begun_by(MALLORY, ()):
+        (shared / f"lfield-{MALLORY}").rename(shared / f"lfield-{MALLORY}-00000000")
+        with begun_by(MALLORY, ()):
+            assert len(runs_here()) == 3
+            monkeypatch.setattr(runs, "_MOST_OF_OTHERS", 2)
+            assert len(runs_here()) == 2
+
+
+# --- the group ----------------------------------------------------------------------------------------------
+
+
+def test_a_run_of_a_member_is_open_to_the_group_and_nothing_else_is(usual, tmp_path, monkeypatch, group):
+    """Also where there is a runtime folder: others cannot enter that."""
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    usual.mkdir(mode=0o700)
+    (usual / "lfield-sims").mkdir(mode=0o700)
+    before = os.umask(0o077)
+    try:
+        with begun():
+            (run,) = runs_here()
+            assert run.folder.parent == usual
+            shown = {path: mode(path) for path in (usual, run.folder, run.folder / "note.json")}
+            assert list(shown.values()) == [0o750, 0o750, 0o640]
+            assert {path.lstat().st_gid for path in shown} == {group}
+            assert mode(usual / "lfield-sims") == 0o700
+    finally:
+        os.umask(before)
+
+
+def test_a_run_for_this_environment_alone_is_open_to_nobody(tmp_path, monkeypatch, group):
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    monkeypatch.setenv("LFIELD_RUNS", "here")
+    with begun():
+        (run,) = runs_here()
+        assert run.folder.parent == tmp_path / "lfield"
+        assert (mode(tmp_path / "lfield"), mode(run.folder)) == (0o700, 0o700)
+
+
+def test_a_note_is_locked_before_a_group_may_read_it(monkeypatch, group):
+    """Whoever may read a file may lock it for reading, and no run would begin."""
+    real, opened = runs.let_read, []
+
+    def let_read(path: Path, group: int) -> None:
+        if path.name == "note.json":
+            assert runs._is_locked(path.parent)
+            assert mode(path.parent) == 0o700
+            opened.append(path)
+        real(path, group)
+
+    monkeypatch.setattr(runs, "let_read", let_read)
+    with begun():
+        assert len(opened) == 1
+
+
+def test_who_may_not_give_files_to_the_group_is_told_and_found_all_the_same(monkeypatch, group):
+    """As root of a user namespace."""
+
+    def refused(*words: object) -> None:
+        raise PermissionError(1, "Operation not permitted")
+
+    monkeypatch.setattr(os, "fchown", refused)
+    monkeypatch.setattr(door, "_number_of_group", lambda: GROUP)
+    monkeypatch.setattr(os, "getgroups", lambda: [GROUP])
+    told = []
+    with begun(told.append):
+        (run,) = runs_here()
+        assert mode(run.folder) == 0o700
+    (said,) = told
+    assert said.startswith("members of the group lfield do not find this run: cannot write ")
+    assert said.endswith("Operation not permitted")
+
+
+@as_root
+@pytest.mark.parametrize("taken", [False, True])
+@pytest.mark.parametrize("starter", [0, ALICE])
+def test_members_find_a_run_of_root_or_a_member_and_nobody_else_does(shared, tmp_path, group, starter, taken):
+    if taken:
+        owned(shared / f"lfield-{starter}", MALLORY, 0o777)
+    with begun_by(starter, (GROUP,) if starter else ()) as folder:
+
+        def look() -> None:
+            (run,) = runs_here()
+            assert run.folder == folder
+            assert run.id == (f"{ALICE}/{folder.name}" if starter else folder.name)
+            assert run.is_foreign == bool(starter)
+            assert str(shared / "lfield-*") in looked_into()
+
+        as_user(BOB, (GROUP,), look)
+
+        def look_in_vain() -> None:
+            assert runs_here() == []
+            with pytest.raises(PermissionError):
+                os.listdir(folder.parent)
+
+        as_user(MALLORY, (), look_in_vain)
+
+
+@as_root
+def test_a_member_can_neither_remove_nor_replace_what_another_has_there(tmp_path, group):
+    with begun_by(ALICE, (GROUP,)) as folder:
+        tries = (
+            lambda: (folder / "note.json").unlink(),
+            lambda: (folder / "note.json").write_text(""),
+            lambda: (folder / "alpha.sock").touch(),
+            lambda: folder.rename(folder.with_name("tour-00000000")),
+            lambda: folder.parent.rename(folder.parent.with_name("away")),
+            lambda: (folder.parent / "tour-00000000").mkdir(),
+            lambda: folder.chmod(0o777),
+        )
+
+        def attack() -> None:
+            for attempt in tries:
+                with pytest.raises(PermissionError):
+                    attempt()
+            # Nor does a lock of a member keep the run from being found, or from being found ended.
+            held = os.open(folder / "note.json", os.O_RDONLY)
+            with pytest.raises(BlockingIOError):
+                fcntl.fcntl(held, fcntl.F_OFD_SETLK, runs._LOCK.pack(fcntl.F_RDLCK, 0, 0, 0, 0))
+            assert [run.folder for run in runs_here()] == [folder]
+
+        as_user(BOB, (GROUP,), attack)
+        assert [run.folder for run in runs_here()] == [folder]
+
+
+@as_root
+def test_who_is_no_member_begins_a_run_of_their_own_and_members_take_no_notice(tmp_path, shared, group):
+    with begun_by(MALLORY, ()) as folder:
+        assert (mode(folder.parent), mode(folder)) == (0o700, 0o700)
+        # Also not when it is open to all: only the group says that it is of a member.
+        for path, rights in ((folder.parent, 0o755), (folder, 0o755), (folder / "note.json", 0o644)):
+            path.chmod(rights)
+
+        def look_in_vain() -> None:
+            assert runs_here() == []
+
+        as_user(BOB, (GROUP,), look_in_vain)
+        assert [run.user for run in runs_here()] == [str(MALLORY)]
+
+
+@as_root
+def test_a_place_of_another_member_is_not_taken_for_ones_own(tmp_path, shared, group):
+    """Bob has made the folder of Alice beforehand, and given it to the group."""
+    owned(shared / f"lfield-{ALICE}", BOB, 0o750, GROUP)
+    with begun_by(ALICE, (GROUP,)) as folder:
+        assert folder.parent.name.startswith(f"lfield-{ALICE}-")
+
+        def look() -> None:
+            assert [run.folder for run in runs_here()] == [folder]
+
+        as_user(BOB, (GROUP,), look)
