@@ -9,9 +9,8 @@ import random
 
 import pytest
 from decoder_corpus import corpus_of
-from decoder_functions import READS, UNREACHED
 from decoder_mutations import mutated
-from decoder_reach import unreached
+from decoder_reach import READS, UNREACHED, unreached
 from decoder_target import BYTES, bounded, peak_of
 from decoder_targets import TARGETS
 from targets_of_links import payloads, unpack
