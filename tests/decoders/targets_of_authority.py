@@ -58,7 +58,6 @@ class Made(NamedTuple):
     person: bytes
     person_key: bytes
     revoked: bytes
-    signature: bytes
 
 
 def _made() -> list[bytes]:
@@ -66,16 +65,20 @@ def _made() -> list[bytes]:
     host = authority.issue("host", "bravo", at=BEGIN, ends=END)
     person = authority.issue("person", "anna", may=[*Right], at=BEGIN, ends=END)
     revoked = authority.revocation_list(Revoked(3, frozenset({"1f", "a2"}), BEGIN))
-    keys = Keys("person", authority.certificate, person.certificate, person.key)
-    signature = sign(DIGEST, keys, BEGIN + 1.0)
     own = (authority.certificate, authority.key, host.certificate, host.key)
-    return [*own, person.certificate, person.key, revoked, signature]
+    return [*own, person.certificate, person.key, revoked]
 
 
 @cache
 def team() -> Made:
     """The authority of all inputs."""
     return Made(*fixed("authority", _made))
+
+
+def signature_of_a_bundle() -> bytes:
+    """What the person has signed: the same keys sign the same in the same way."""
+    made = team()
+    return sign(DIGEST, Keys("person", made.authority, made.person, made.person_key), BEGIN + 1.0)
 
 
 @cache
@@ -230,7 +233,7 @@ TARGETS = (
     Target("revocations", _lists, take_list, words=(b"\x30\x00", b"\x02\x01", b"\x17\x0d")),
     Target("pem", _pems, take_pem, words=(b"-----BEGIN CERTIFICATE-----\n", b"-----END PRIVATE KEY-----\n")),
     Target("names", _names, take_names, True, _URIS),
-    Target("signature", lambda: [team().signature], take_signature, True, (der_of(team().host),)),
+    Target("signature", lambda: [signature_of_a_bundle(), b""], take_signature, True, (der_of(team().host),)),
     Target(
         "handshake", _handshakes, take_handshake, words=(b"\x16\x03\x01", b"\x16\x03\x03", b"\x14\x03\x03")
     ),

@@ -327,7 +327,7 @@ def _lies() -> list[bytes]:
 
 
 def _socketcand_seeds() -> list[bytes]:
-    return [b"\5< hi >< ok >< ok >< frame 123 1.0 0011 22 >< error 20000004 1.0 >"]
+    return [b"\5< hi >< ok >< ok >< frame 123 1.0 0011 22 >< error 20000004 1.0 >", b"\xff" + b"<" * 600]
 
 
 def _sdo_seeds() -> list[bytes]:

@@ -130,11 +130,14 @@ def _dump_head() -> bytes:
 
 
 def take_page(data: bytes) -> None:
-    """A page of a journal whose checksum is right: its key and its body."""
+    """A page of a journal: its key and its body, whose checksum is right; and then is not."""
     try:
         kind, name, number, version, body = unpack(data)
         key, body = Key(kind, name, number), pack(body)
-        page_of(Entry(key, 1.0, version, body, _check(key, 1.0, version, body)))
+        check = _check(key, 1.0, version, body)
+        with suppress(PageError):
+            page_of(Entry(key, 1.0, version, body, check ^ 1))
+        page_of(Entry(key, 1.0, version, body, check))
     except PageError as error:
         str(error)
     except (
@@ -236,6 +239,29 @@ def _parts() -> list[Any]:
     return [unpack(part) if part else 0 for part in parts.values()]
 
 
+def _bundles() -> list[bytes]:
+    """A good one, and one that is wrong at each of its places."""
+    data = bundle.encode(mission())
+    found, table = bundle.contents(data), pack([["program", 0, bytes(32)]])
+
+    def headed(table: bytes, version: int = bundle.VERSION) -> bytes:
+        digest = hashlib.sha256(table).digest()
+        return struct.pack("<4sHHI32s", b"LFMB", version, 0, len(table), digest) + table
+
+    of_parts = [[*row] for row in found.table]
+    longer = pack([[*of_parts[0][:1], 1 << 20, of_parts[0][2]], *of_parts[1:]])
+    wrong = [
+        headed(b"", 9),
+        headed(b"\xc1"),
+        headed(table),
+        headed(longer),
+        data[:-1] + b"\xc1",
+        data[:60],
+        b"LF",
+    ]
+    return [data, *wrong]
+
+
 def _program_parts() -> list[Any]:
     program = mission().program
     return [unpack(encoding.encode_core(program)), unpack(pack(program.debug))]
@@ -311,7 +337,7 @@ _OF_BINDINGS += ("1e999", ".nan", "2001-01-01", "0x10", "'")
 
 TARGETS = (
     Target("bundle", lambda: [pack(_parts())], take_bundle, True, _OF_BUNDLES, share=4),
-    Target("bundle-file", lambda: [bundle.encode(mission())], take_bundle_bytes),
+    Target("bundle-file", _bundles, take_bundle_bytes),
     Target("program", lambda: [pack(_program_parts())], take_program, True, (*range(60), "Bell", "ring")),
     Target("dump", lambda: [_a_dump()[12:]], take_dump, True),
     Target("page", lambda: list(map(pack, _entries())), take_page, True, ("tom", "copy", "begun", "RUN")),

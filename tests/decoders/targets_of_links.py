@@ -5,7 +5,8 @@ from __future__ import annotations
 import random
 import struct
 import zlib
-from collections.abc import Callable, Sequence
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from functools import cache
 from typing import Any
 
@@ -23,8 +24,8 @@ from lfield.net.framed import FramedLink
 from lfield.net.greeting import Greeting
 from lfield.wire import codec
 from lfield.wire.coordinators import Known, Transfer
-from lfield.wire.framing import HEADER_SIZE
-from lfield.wire.messages import Control, Hello, Message
+from lfield.wire.framing import HEADER_SIZE, frame
+from lfield.wire.messages import Control, ForeignHello, Hello, Message, Refuse, Role
 
 pack = msgspec.msgpack.encode
 unpack = msgspec.msgpack.decode
@@ -36,6 +37,10 @@ WORDS = (
 )
 
 
+#: What every greeting begins with.
+HELLO_START = codec.MAGIC + struct.pack(">H", codec.PROTOCOL)
+#: What is wrong with a transfer, in the first byte of an input: a checksum, or all of it may be.
+OF_BLOCK, OF_HEADER, AS_IT_IS = 1, 2, 3
 #: Who has proven to be at the other end.
 BRAVO = Identity("host", "bravo", NONE)
 
@@ -74,35 +79,67 @@ def sealed(body: bytes, before: bytes = b"") -> bytes:
 # -- one message ----------------------------------------------------------------------------------------
 
 
-def take_control(data: bytes) -> None:
-    """One control message, whose checksum fits."""
+def frame_of(data: bytes) -> tuple[int, bytes] | None:
+    """The kind and payload of a frame that a tree stands for, None for none: [kind, body].
+
+    What a body is packed of has the checksum that it should have; bytes are a payload as it is.
+    """
     try:
-        codec.encode(codec.decode(codec.CONTROL, sealed(data)))
+        kind, body = unpack(data)
+    except (msgspec.MsgspecError, ValueError, RecursionError, TypeError):
+        return None
+    if not isinstance(kind, int):
+        return None
+    if isinstance(body, bytes):
+        return kind, body
+    return kind, sealed(pack(body), HELLO_START if kind == codec.HELLO else b"")
+
+
+def take_control(data: bytes) -> None:
+    """One message of whoever has greeted as a host, or as somebody who only looks."""
+    if (frame := frame_of(data)) is None:
+        return
+    try:
+        message = codec.decode(*frame)
+        if not isinstance(message, Hello | ForeignHello):
+            codec.encode(message)
     except WireError:
         return
+    for role in ("host", "observer"):
+        with suppress(WireError, GreetingError):
+            greeted_by(role).admit(message)
 
 
 def take_greeting(data: bytes) -> None:
-    """A greeting, as a host hears it."""
+    """The first message of somebody, as a host hears it, and as a command does."""
+    if (frame := frame_of(data)) is None:
+        return
     own = greeting("alpha")
     for role in ("host", "observer"):
         try:
-            hello = codec.decode(codec.HELLO, sealed(data, b"lfld\0" + bytes([codec.PROTOCOL])))
+            message = codec.decode(*frame)
             here = msgspec.structs.replace(own, role=role)
-            Greeting(here, BRAVO, hosts=HOSTS, linked={"charlie": 5}).receive(hello)
+            Greeting(here, BRAVO, hosts=HOSTS, linked={"charlie": 5}).receive(message)
         except (WireError, GreetingError) as error:
             str(error)
 
 
+@cache
+def greeted_by(role: Role) -> Greeting:
+    """A greeting after which bravo may send what such a peer sends."""
+    made = Greeting(greeting("alpha"), BRAVO, hosts=HOSTS)
+    made.receive(msgspec.structs.replace(greeting("bravo"), role=role))
+    return made
+
+
 def take_transfer(data: bytes) -> None:
-    """A transfer: the length of its header in a byte, header, block."""
-    head, block = data[1 : 1 + (data[0] if data else 0)], data[1 + (data[0] if data else 0) :]
-    start = struct.pack(">IH", zlib.adler32(block), len(head)) + head
-    checked = struct.pack(">I", zlib.crc32(start, 4 + len(start) + len(block))) + start
-    try:
-        codec.decode_transfer(checked + block)
-    except WireError:
-        return
+    """A transfer: what is wrong with its checksums, the length of its header, header, block."""
+    wrong, size = (data + b"\0\0")[:2]
+    head, block = data[2 : 2 + size], data[2 + size :]
+    start = struct.pack(">IH", zlib.adler32(block) ^ (wrong == OF_BLOCK), len(head)) + head
+    check = zlib.crc32(start, 4 + len(start) + len(block)) ^ (wrong == OF_HEADER)
+    with suppress(WireError):
+        codec.decode_transfer(data[1:] if wrong == AS_IT_IS else struct.pack(">I", check) + start + block)
 
 
 class Ears:
@@ -112,10 +149,12 @@ class Ears:
         self.heard: list[object] = []
 
     def on_message(self, link: FramedLink, message: Message) -> None:
-        """After the greeting of a host everything may come."""
+        """After the greeting of a host everything may come, and nothing after a refusal."""
         self.heard.append(message)
         if isinstance(message, Hello):
             link.greeted(message.role)
+        elif isinstance(message, Refuse):
+            link.close()
 
     def on_transfer(self, link: FramedLink, header: Transfer, block: memoryview) -> None:
         """A coordinator."""
@@ -334,29 +373,72 @@ def _event_seeds() -> Sequence[bytes]:
     return [*quiet, *busy, *people, rest, pack([hello, *told])]
 
 
-def _stream_seeds() -> Sequence[bytes]:
+@cache
+def payloads() -> Mapping[int, Sequence[bytes]]:
+    """What a peer may send, by the kinds of frames that the wire lets through: every kind has to be here."""
     header, block = transfers()[0]
-    hello = codec.encode(greeting("bravo"))
-    transfer = codec.encode_transfer(header, block) + block
     controls = [codec.encode(example(kind)) for kind in Control.__args__]  # type: ignore[attr-defined]
-    whole = [hello, hello + transfer, hello + controls[0] + transfer, b"".join((hello, *controls))]
-    return [bytes([size]) + data for data in whole for size in (0, HEADER_SIZE, 250)]
+    hellos = [codec.encode(greeting("bravo")), frame(codec.HELLO, b"lfld\0\6"), frame(codec.HELLO, b"lfl")]
+    refusals = [codec.encode(Refuse("no")), frame(codec.REFUSE, b"\xff no"), frame(codec.REFUSE, b"")]
+    found = {
+        codec.HELLO: hellos,
+        codec.REFUSE: refusals,
+        codec.CONTROL: controls,
+        codec.TRANSFER: [codec.encode_transfer(header, block) + block],
+    }
+    allowed = codec.limits("host", 1).keys() | codec.GREETING_LIMITS.keys()
+    assert found.keys() == allowed, "a kind of frame has no seeds here"
+    return {kind: [data[HEADER_SIZE:] for data in sent] for kind, sent in found.items()}
+
+
+def _stream_seeds() -> Sequence[bytes]:
+    hello = codec.encode(greeting("bravo"))
+    looks = codec.encode(msgspec.structs.replace(greeting("bravo"), role="observer"))
+    sent = {kind: [frame(kind, payload) for payload in all_of] for kind, all_of in payloads().items()}
+    alone = [each for all_of in sent.values() for each in all_of[:3]]
+    whole = [before + each for before in (b"", hello, looks) for each in alone]
+    everything = b"".join(each for all_of in sent.values() for each in all_of)
+    large = codec.encode_transfer(transfers()[0][0], bytes(6000)) + bytes(6000)
+    nobody = frame(max(sent) + 1, b"")
+    whole += [hello, hello + everything, hello + nobody, nobody[:-1]]
+    pieces = [bytes([size]) + data for data in whole for size in (HEADER_SIZE, 250)]
+    return [*pieces, bytes([250]) + hello + large + hello, bytes([250]) + looks + large, b"\0" + hello]
+
+
+def _message_seeds(trees: Mapping[int, Sequence[Any]]) -> Sequence[bytes]:
+    """Messages as trees, and every kind of frame as bytes: as it should be, and cut short."""
+    plain = [[kind, tree] for kind, all_of in trees.items() for tree in all_of]
+    sent = [[kind, payload] for kind, all_of in payloads().items() for payload in all_of[:3]]
+    cut = [[kind, payload[:n]] for kind, payload in sent for n in (0, 3, 9, len(payload) - 1)]
+    return [pack(seed) for seed in (*plain, *sent, *cut)]
+
+
+def _greeting_seeds() -> Sequence[bytes]:
+    hellos = [unpack(pack(greeting(name))) for name in ("bravo", "charlie")]
+    return _message_seeds({codec.HELLO: hellos})
+
+
+def _control_seeds() -> Sequence[bytes]:
+    return _message_seeds({codec.CONTROL: messages(), codec.HELLO: [unpack(pack(greeting("bravo")))]})
 
 
 def _transfer_seeds() -> Sequence[bytes]:
     heads = [(pack(header), block) for header, block in transfers()[:3]]
-    return [bytes([len(head)]) + head + block for head, block in heads]
-
-
-def packed(seeds: Callable[[], Sequence[Any]]) -> Callable[[], list[bytes]]:
-    """Values as msgpack."""
-    return lambda: [pack(seed) for seed in seeds()]
+    whole = [bytes([len(head)]) + head + block for head, block in heads]
+    short = [*(each[:-1] for each in whole[:1]), b"\xff\xff"]
+    wrong = [bytes([how]) + each for how in (OF_BLOCK, OF_HEADER, AS_IT_IS) for each in whole[:1]]
+    return [
+        *(b"\0" + each for each in (*whole, *short)),
+        *wrong,
+        bytes([AS_IT_IS]) + payloads()[codec.TRANSFER][0],
+        bytes([AS_IT_IS]) + bytes(8) + b"\xff" * 900,
+    ]
 
 
 TARGETS = (
     Target("stream", _stream_seeds, take_stream, words=(b"lfld",)),
-    Target("greeting", packed(lambda: [greeting("bravo"), greeting("charlie")]), take_greeting, True, WORDS),
-    Target("control", packed(messages), take_control, True, WORDS),
+    Target("greeting", _greeting_seeds, take_greeting, True, WORDS),
+    Target("control", _control_seeds, take_control, True, WORDS),
     Target("transfer", _transfer_seeds, take_transfer),
     Target("host", _event_seeds, take_events, True, WORDS),
     Target("block", lambda: [block for _, block in transfers()], take_block),

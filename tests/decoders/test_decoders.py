@@ -10,8 +10,13 @@ import random
 import pytest
 from decoder_corpus import corpus_of
 from decoder_mutations import mutated
+from decoder_reach import READS, UNREACHED, unreached
 from decoder_target import BYTES, bounded, peak_of
 from decoder_targets import TARGETS
+from targets_of_links import payloads, unpack
+
+from lfield.wire import codec
+from lfield.wire.framing import frame
 
 #: Inputs that are made of each decoder's seeds here.
 INPUTS = 60
@@ -45,3 +50,18 @@ def test_the_same_dice_make_the_same_inputs(name):
 
     assert made() == made()
     assert len(set(made())) > 5
+
+
+@pytest.mark.parametrize("name", READS)
+def test_every_line_that_reads_is_reached_but_for_those_that_stand_there(name):
+    assert unreached(TARGETS[name], READS[name]) == set(UNREACHED.get(name, ()))
+
+
+def test_every_kind_of_frame_that_a_peer_may_send_is_in_the_seeds_of_whoever_reads_them():
+    kinds = {*codec.GREETING_LIMITS, *codec.limits("host", 1), *codec.limits("observer", 1)}
+    assert set(payloads()) == kinds
+    for name in ("greeting", "control"):
+        assert {kind for kind, _ in map(unpack, TARGETS[name].good)} == kinds
+    for kind in kinds:
+        framed = frame(kind, payloads()[kind][0])
+        assert any(framed in data for data in TARGETS["stream"].good)

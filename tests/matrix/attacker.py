@@ -1,6 +1,7 @@
 """Somebody at the other end of a host's link who knows the protocol, and need not keep to it.
 
-None of lfield's own links is used: OpenSSL over a socket, and frames as bytes.
+None of lfield's own links is used: OpenSSL over a socket, and frames as bytes. But whoever `asked`, did so as
+a command of lfield does.
 """
 
 from __future__ import annotations
@@ -8,18 +9,25 @@ from __future__ import annotations
 import asyncio
 import ssl
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 
 from lfield.authority.keys import Keys
-from lfield.errors import WireError
-from lfield.wire.codec import TRANSFER, decode, frame_decoder, limits
-from lfield.wire.messages import Hello, Message, Pong
+from lfield.errors import LfieldError, WireError
+from lfield.net.tcp import TcpTransport
+from lfield.operator.ask import Request, ask
+from lfield.wire.codec import TRANSFER, decode, encode, frame_decoder, limits
+from lfield.wire.messages import Message, Ping, Pong
+from lfield.wire.observing import EmergencyStopped
 
 #: Bytes of a transfer that nobody here sends.
 _BLOCK = 1 << 16
 #: Seconds for a host to answer or to hang up.
 PATIENCE = 20.0
+#: What pings are about: the last word, and the first.
+TOKEN, FIRST = 77, 1
+#: What a host without anything in it answers.
+ANSWER = EmergencyStopped({})
 
 
 def context(keys: Keys | None) -> ssl.SSLContext:
@@ -99,11 +107,6 @@ class Attacker:
         with suppress(OSError):
             await self._writer.wait_closed()
 
-    @property
-    def greeted(self) -> bool:
-        """Whether the host has said who it is."""
-        return any(isinstance(message, Hello) for message in self.heard)
-
     def _messages(self, data: bytes) -> Iterator[Message]:
         for plain in self._plain(data):
             for kind, payload in self._frames.feed(plain):
@@ -136,3 +139,43 @@ class Attacker:
         with suppress(OSError):
             self._writer.write(data)
             await self._writer.drain()
+
+
+async def said(
+    attacker: Attacker,
+    address: str,
+    words: Sequence[bytes],
+    between: Callable[[], None] | None = None,
+) -> None:
+    """Say these words on a link, until the host has heard all or hangs up.
+
+    What comes `between` happens when it has taken the first, the greeting.
+    """
+    await attacker.open(address)
+    if between is not None:
+        await attacker.say(words[0] + encode(Ping(FIRST)))
+        await attacker.listen(FIRST)
+        between()
+    for word in words[between is not None :]:
+        await attacker.say(word)
+    await attacker.listen(TOKEN)
+    await attacker.hang_up()
+
+
+async def repeated(address: str, pieces: list[bytes]) -> Attacker:
+    """Another link, on which the bytes of an earlier one are sent again."""
+    attacker = Attacker(None)
+    await attacker.open(address)
+    await attacker.repeat(pieces)
+    await attacker.listen(TOKEN)
+    await attacker.hang_up()
+    return attacker
+
+
+async def asked(door: str, message: Message) -> bool:
+    """What a command of lfield comes to that says this to the host at a door: whether it was answered."""
+    request = Request(message, EmergencyStopped, PATIENCE)
+    try:
+        return await ask(TcpTransport(_BLOCK), door, request, "alpha") == ANSWER
+    except LfieldError:
+        return False

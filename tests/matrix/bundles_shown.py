@@ -3,29 +3,46 @@
 from __future__ import annotations
 
 import hashlib
+import random
 import struct
+from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import msgspec
 from callers import NOW
 from certificates import Team, made
+from starting import starts
 
+from lfield.authority import folder
 from lfield.authority.identity import Right, uri_of
-from lfield.authority.judge import Revoked
 from lfield.authority.keys import Keys
 from lfield.authority.pem import private_in
-from lfield.authority.reading import der_of, fingerprint_in, identity_in
-from lfield.errors import LfieldError
+from lfield.authority.reading import der_of
+from lfield.errors import BundleError
 from lfield.mission import bundle
-from lfield.mission.access.release import Release, taken
 from lfield.mission.load import load_mission
 
 DAY = 86400.0
 PURPOSE = b"lfield bundle\0"
+#: Every part of its bundle has something in it.
 FILES = {
-    ".L": 'resource Echo { init(string[] arg) { } portal say() { print("here"); } }\n'
-    "coordinator Caller { init(string[] arg) { findEcho(arg[1]).say(); } }\n",
-    ".dL": "//Caller:tom@alpha?echo\n//Echo:echo@bravo\n",
+    ".L": """resource Crane {
+    Mavlink fc;
+    init(string[] arg) { }
+    portal hoist(real height) emit real { print("here"); return height; }
+}
+coordinator Foreman { init(string[] arg) { findLift()[0].lift(1.0); } }
+""",
+    ".dL": "//Foreman:tom@alpha?echo\n//Crane:near@bravo\n",
+    ".capabilities.yaml": """registry: 1
+providers: {Crane: {attributes: {payload: 50.0}, serves: {Lift: {portals: {lift: hoist, lower: hoist}}}}}
+""",
+    ".devices.yaml": """agents:
+  near:
+    devices:
+      fc: {driver: mavlink, endpoint: "udp:127.0.0.1:14550", kind: copter, limits: {speed: 3, altitude: 20}}
+""",
     ".access.yaml": "people: {anna: [observe]}\n",
 }
 
@@ -33,50 +50,64 @@ FILES = {
 class Bundles:
     """Who signs, and what becomes of it."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, place: Path) -> None:
+        self._place = place
         for ending, text in FILES.items():
-            (folder / f"mission{ending}").write_text(text)
-        mission = load_mission(folder / "mission.dL")
-        self.data = bundle.encode(mission)
-        (folder / "mission.L").write_text(FILES[".L"].replace("here", "there"))
-        self.another = bundle.encode(load_mission(folder / "mission.dL"))
+            (place / f"mission{ending}").write_text(text)
+        self.data = bundle.encode(load_mission(place / "mission.dL"))
+        (place / "mission.L").write_text(FILES[".L"].replace("here", "there"))
+        self.another = bundle.encode(load_mission(place / "mission.dL"))
         self.team, self.other = Team(), Team()
-        self.authority = self.team.authority.certificate
         command = (Right.COMMAND,)
+        gone = self.team.person("rosa", *command)
         self.signers: dict[str, Keys | None] = {
             "commander": self.team.person("anna", *command),
             "operator": self.team.person("otto", Right.OPERATE),
             "host": self.team.host("bravo"),
             "ended": self.team.person("emil", *command, end=NOW - DAY),
-            "revoked": self.team.person("rosa", *command),
+            "revoked": gone,
             "foreign": self.other.person("anna", *command),
             "selfsigned": self.team.with_(made("anna", [uri_of("person", "anna", command)])),
             "nobody": None,
         }
-        gone = self.signers["revoked"]
-        assert gone is not None
-        self.revoked = Revoked(1, frozenset({identity_in(gone.certificate, self.authority).serial}), NOW)
+        keys = self.team.host("alpha")
+        folder.write(place / "alpha", replace(keys, revoked=self.team.revoked(1, gone)))
 
     def tried(self, who: str, what: str) -> bool:
         """Whether a host of the team runs it."""
         keys = self.signers[who]
         # Whoever has ended meanwhile has signed while it was time.
         at = NOW - 2 * DAY
-        signature = sealed(self.data, keys, at) if keys is not None else b""
-        shown = self.data
-        if what == "moved":
-            shown, signature = self.data, sealed(self.another, keys, at) if keys is not None else b""
-        elif what == "signature":
+        shown = self.data if what in ("whole", "signature", "moved") else changed(self.data, what)
+        signed = self.another if what == "moved" else self.data
+        signature = sealed(signed, keys, at) if keys is not None else b""
+        if what == "signature":
             signature = signature[:-1] + bytes([signature[-1] ^ 1]) if signature else b"\x01"
-        elif what != "whole":
-            shown = resealed(self.data, what)
+        return self._runs(bundle.with_signature(shown, signature))
+
+    def runs_if_signed(self, part: str) -> bool:
+        """Whether a host runs what was changed so, when somebody signs that who may."""
+        keys, shown = self.signers["commander"], changed(self.data, part)
+        assert keys is not None
+        return self._runs(bundle.with_signature(shown, sealed(shown, keys, NOW - 2 * DAY)))
+
+    def _runs(self, data: bytes) -> bool:
+        file = self._place / "shown.lfm"
+        file.write_bytes(data)
+        return starts(file, "alpha", self._place / "alpha", NOW)
+
+
+@cache
+def changed(data: bytes, part: str) -> bytes:
+    """The bundle with one bit of a part changed that makes it another one, which can be flown as well."""
+    dice = random.Random(part)
+    while True:
+        found = resealed(data, part, dice)
         try:
-            found = bundle.contents(bundle.with_signature(shown, signature))
-            release = Release(found.digest, found.signature)
-            taken(release, self.authority, fingerprint_in(self.authority), at=NOW, revoked=self.revoked)
-        except LfieldError:
-            return False
-        return True
+            bundle.decode(found)
+        except BundleError:
+            continue
+        return found
 
 
 def sealed(data: bytes, keys: Keys, at: float) -> bytes:
@@ -86,11 +117,12 @@ def sealed(data: bytes, keys: Keys, at: float) -> bytes:
     return msgspec.msgpack.encode([der_of(keys.certificate), second, signed])
 
 
-def resealed(data: bytes, part: str) -> bytes:
+def resealed(data: bytes, part: str, dice: random.Random) -> bytes:
     """The bundle with one bit of a part changed, and all digests as they must be then."""
     parts = {name: bytes(value) for name, value in bundle.contents(data).parts.items()}
-    value = parts[part] or b"\0"
-    parts[part] = bytes([value[0] ^ 1]) + value[1:]
+    value = bytearray(parts[part])
+    value[dice.randrange(len(value))] ^= 1 << dice.randrange(8)
+    parts[part] = bytes(value)
     rows = [(name, len(value), hashlib.sha256(value).digest()) for name, value in parts.items()]
     table = msgspec.msgpack.encode(rows)
     head = struct.pack("<4sHHI32s", b"LFMB", bundle.VERSION, 0, len(table), hashlib.sha256(table).digest())

@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import asyncio
 import random
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
-from pathlib import Path
 
-import pytest
-from attacker import PATIENCE, Attacker, context
+from attacker import ANSWER, TOKEN, Attacker, context, repeated, said
 from certificates import Team, made
 from msgspec.structs import replace
+from users import UserAtTheDoor, Users
 
 from lfield.authority.admission import Judged
 from lfield.authority.believed import BelievedTime
@@ -20,18 +19,15 @@ from lfield.authority.identity import Right, uri_of
 from lfield.authority.keys import Keys
 from lfield.authority.reading import revoked_in
 from lfield.clock import ManualClock
-from lfield.errors import LfieldError
 from lfield.mission.access.rules import Access, Person
-from lfield.net.door import ROOT, listening, local
 from lfield.net.peers import Peers
 from lfield.net.tcp import TcpTransport
 from lfield.net.tls import Tls
 from lfield.net.transport import Link
-from lfield.operator.ask import Request, ask
 from lfield.wire.codec import encode, encode_transfer
 from lfield.wire.coordinators import Ended, Transfer
 from lfield.wire.messages import AgentReport, Control, Hello, Message, Ping, Report, Revocations, Role
-from lfield.wire.observing import EmergencyStop, EmergencyStopped, Forget, Pause, Recover, StatusRequest
+from lfield.wire.observing import EmergencyStop, Forget, Pause, Recover, StatusRequest
 from lfield.wire.quorum import Propose
 from lfield.wire.reservations import Renew
 from lfield.wire.watching import Watch
@@ -42,7 +38,6 @@ HOSTS, ADDRESSES = ("alpha", "bravo", "charlie"), ("127.0.0.1:1", "127.0.0.1:2",
 OWN = Hello("host", "alpha", 7, b"p" * 32, b"d" * 32, 1 << 16, bundle=b"b" * 32)
 BLOCK = b"block"
 HOP = Transfer("tom", 1, 2, 3, b"p" * 32, 7, len(BLOCK))
-TOKEN, FIRST = 77, 1
 #: What is sent, by column: to whom only hosts say it, and what commands say.
 SAID_BY_HOSTS: dict[str, Message] = {
     "ended": Ended("tom", 1, "done", "", "bravo"),
@@ -62,18 +57,6 @@ SAID_BY_COMMANDS: dict[str, Message] = {
 }
 #: What the mission says of persons.
 RULES = Access("mission.access.yaml", (Person("maria", (Right.OBSERVE,), 2), Person("nina", (), 3)))
-#: A member of the group lfield, and whoever is in no group of ours: numbers of users and groups.
-GROUP, USER, OWNER, OTHER = 900, 1001, 1000, 1002
-#: Who calls, in which groups, and the groups of the host: a service and a member's run are in ours.
-AT_THE_DOOR = {
-    "same": (OWNER, {OWNER}, {OWNER}),
-    "root": (ROOT, {ROOT}, {OWNER}),
-    "root_service": (ROOT, {ROOT}, {GROUP}),
-    "member": (USER, {GROUP}, {GROUP}),
-    "user": (OTHER, {OTHER}, {GROUP}),
-}
-#: What a host without anything in it answers.
-ANSWER = EmergencyStopped({})
 
 
 class Noted:
@@ -120,8 +103,7 @@ class Noted:
 class Caller:
     """What somebody shows, and calls itself. `keys` None is no certificate, without `tls` there is no TLS.
 
-    Who `replays` makes a good link, and then sends the same bytes again on another one. Who `asks` does that
-    as a command of lfield.
+    Who `replays` makes a good link, and then sends the same bytes again on another one.
     """
 
     keys: Keys | None
@@ -131,7 +113,6 @@ class Caller:
     release: bytes = OWN.bundle
     bent: Callable[[int, bytes], bytes] = lambda number, data: data
     replays: bool = False
-    asks: bool = False
 
     def hello(self, role: Role, name: str = "") -> Hello:
         """Its greeting: as a host it fits the other one's own, and a command says nothing of a mission."""
@@ -156,6 +137,7 @@ class Network:
     def __init__(self) -> None:
         self.team, self.other = Team(), Team()
         self.alpha = self.team.host("alpha")
+        self._tls, self._authority = Tls(self.alpha), self.team.authority.certificate
         self._revoked = (self.team.host("bravo"), self.team.person("carl", *Right))
         self.none = self.team.revoked(0)
         self.list = self.team.revoked(1, *self._revoked)
@@ -203,30 +185,27 @@ class Network:
 
     def tried(self, who: str, what: str) -> bool:
         """Whether a host did what somebody tried over the network."""
-        return any(asyncio.run(self._try(self.callers[who], what, role, "")) for role in _roles(what))
+        return any(asyncio.run(self._try(self.callers[who], what, role)) for role in _roles(what))
 
-    def tried_at_the_door(self, who: str, what: str, monkeypatch: pytest.MonkeyPatch, folder: Path) -> bool:
+    def tried_at_the_door(self, users: Users, who: str, what: str) -> bool:
         """The same of a user of this computer at the host's Unix socket, and by lfield's own commands."""
-        user, groups, owns = AT_THE_DOOR[who]
-        callers, host = local(user, groups, OWNER, GROUP), listening(OWNER, owns, user, GROUP)
-        monkeypatch.setattr("lfield.net.stream.caller_at", lambda made: callers)
-        monkeypatch.setattr("lfield.net.stream.host_at", lambda made: host)
-        caller = Caller(None, tls=False)
-        done = any(
-            asyncio.run(self._try(caller, what, role, f"unix:{folder}/{role}")) for role in _roles(what)
-        )
-        if what in SAID_BY_COMMANDS:
-            asks = Caller(None, tls=False, asks=True)
-            by_command = asyncio.run(self._try(asks, what, "observer", f"unix:{folder}/command"))
-            assert by_command == done, "whoever has a right has a command for it"
-        return done
+        with users.at_the_door(who, self._rehearse) as user:
+            done = any(asyncio.run(self._try_at_the_door(user, what, role)) for role in _roles(what))
+            if what in SAID_BY_COMMANDS:
+                by_command = asyncio.run(self._try_at_the_door(user, what, None))
+                assert by_command == done, "whoever has a right has a command for it"
+            return done
+
+    def _rehearse(self, user: UserAtTheDoor) -> None:
+        for role in (*_roles("ps"), None):
+            assert asyncio.run(self._try_at_the_door(user, "ps", role)) == (role != "host")
 
     def tried_on_a_link(self, who: str, what: str) -> bool:
         """The same on a link that was made before its caller's certificate ended or was revoked."""
         kind, event, state = who.split("_")
         caller = self.standing[kind, event]
         fate = Fate(event == "ended", flies=state == "flies")
-        return asyncio.run(self._try(caller, what, "host" if kind == "host" else "observer", "", fate))
+        return asyncio.run(self._try(caller, what, "host" if kind == "host" else "observer", fate))
 
     @cached_property
     def standing(self) -> dict[tuple[str, str], Caller]:
@@ -245,36 +224,53 @@ class Network:
             ("person", "other"): Caller(team.person("carl", *Right)),
         }
 
-    async def _try(self, caller: Caller, what: str, role: Role, door: str, fate: Fate | None = None) -> bool:
+    async def _try(self, caller: Caller, what: str, role: Role, fate: Fate | None = None) -> bool:
         """One link that greets in a role and says one thing; whether it had what it wanted.
 
         With a `fate` that comes between the greeting and the rest.
         """
-        noted, clock, tls = Noted(), ManualClock(NOW), Tls(self.alpha)
-        data = self.list if fate is None else self.none
-        revoked = revoked_in(data, self.team.authority.certificate)
-        admission = Judged(self.alpha, tls.own(), BelievedTime(clock), revoked, data)
-        admission.barred = RULES.barred
-        transport, dice = TcpTransport(1 << 16, tls), random.Random(1)
-        peers = Peers(noted, transport, clock, dice, HOSTS, ADDRESSES, 0, (), admission)
+        noted, clock = Noted(), ManualClock(NOW)
+        admission = self._admission(clock, self.list if fate is None else self.none)
+        peers = self._peers(noted, clock, admission)
         address = await peers.open("127.0.0.1:0")
-        if door:
-            await peers.open_door(door)
         try:
-            if caller.asks:
-                return await _asked(door, SAID_BY_COMMANDS[what]) and SAID_BY_COMMANDS[what] in noted.done
             words = self._words(caller.hello(role, "charlie" if what == "other" else ""), what)
-            between: Callable[[], None] | None = None
-            if fate is not None:
-                between = partial(self._befall, fate, admission, clock, peers)
-            attacker = await _said(caller, door or address, words, between)
+            between = None if fate is None else partial(self._befall, fate, admission, clock, peers)
+            attacker = Attacker(context(caller.keys) if caller.tls else None, caller.bent)
+            await said(attacker, address, words, between)
             if caller.replays:
                 noted.forget()
-                admission.revoked, admission.list, admission.number = revoked, self.list, revoked.number
-                attacker = await _repeated(address, attacker.sent)
-            return self._had(what, attacker, noted, admission)
+                admission.revoked, admission.list = revoked_in(self.list, self._authority), self.list
+                admission.number = admission.revoked.number
+                attacker = await repeated(address, attacker.sent)
+            return self._had(what, attacker.heard, noted, admission)
         finally:
             peers.close()
+
+    async def _try_at_the_door(self, user: UserAtTheDoor, what: str, role: Role | None) -> bool:
+        """The same of a user of this computer; without a role by a command of lfield."""
+        noted, clock = Noted(), ManualClock(NOW)
+        admission = self._admission(clock, self.list)
+        peers = self._peers(noted, clock, admission)
+        await user.let_in(peers)
+        try:
+            if role is None:
+                message = SAID_BY_COMMANDS[what]
+                return await user.asked(message) and message in noted.done
+            hello = Caller(None).hello(role, "charlie" if what == "other" else "")
+            return self._had(what, await user.said(self._words(hello, what)), noted, admission)
+        finally:
+            peers.close()
+
+    def _admission(self, clock: ManualClock, data: bytes) -> Judged:
+        revoked = revoked_in(data, self._authority)
+        admission = Judged(self.alpha, self._tls.own(), BelievedTime(clock), revoked, data)
+        admission.barred = RULES.barred
+        return admission
+
+    def _peers(self, noted: Noted, clock: ManualClock, admission: Judged) -> Peers:
+        transport = TcpTransport(1 << 16, self._tls)
+        return Peers(noted, transport, clock, random.Random(1), HOSTS, ADDRESSES, 0, (), admission)
 
     def _befall(self, fate: Fate, admission: Judged, clock: ManualClock, peers: Peers) -> None:
         """A certificate ends, or a list comes that revokes some."""
@@ -295,56 +291,17 @@ class Network:
             said.append(encode({**SAID_BY_HOSTS, **SAID_BY_COMMANDS}[what]))
         return [*said, encode(Ping(TOKEN))]
 
-    def _had(self, what: str, attacker: Attacker, noted: Noted, admission: Judged) -> bool:
+    def _had(self, what: str, heard: Sequence[Message], noted: Noted, admission: Judged) -> bool:
         if what == "hear":
-            return attacker.greeted
+            return any(isinstance(message, Hello) for message in heard)
         if what == "mission":
-            return any(isinstance(said, Hello) and said.program for said in attacker.heard)
+            return any(isinstance(message, Hello) and message.program for message in heard)
         if what == "other":
             return "charlie" in noted.linked_with
         if what in ("list", "forged"):
             return admission.number == (2 if what == "list" else 9)
         wanted = HOP if what == "hop" else {**SAID_BY_HOSTS, **SAID_BY_COMMANDS}[what]
         return wanted in noted.done
-
-
-async def _said(
-    caller: Caller, address: str, words: list[bytes], between: Callable[[], None] | None = None
-) -> Attacker:
-    """A link on which these words are said, until the host has heard all or hangs up.
-
-    What comes `between` happens when it has taken the first, the greeting.
-    """
-    attacker = Attacker(context(caller.keys) if caller.tls else None, caller.bent)
-    await attacker.open(address)
-    if between is not None:
-        await attacker.say(words.pop(0) + encode(Ping(FIRST)))
-        await attacker.listen(FIRST)
-        between()
-    for word in words:
-        await attacker.say(word)
-    await attacker.listen(TOKEN)
-    await attacker.hang_up()
-    return attacker
-
-
-async def _asked(door: str, message: Message) -> bool:
-    """What a command of lfield comes to that says this to the host at a door: whether it was answered."""
-    request = Request(message, EmergencyStopped, PATIENCE)
-    try:
-        return await ask(TcpTransport(1 << 16), door, request, "alpha") == ANSWER
-    except LfieldError:
-        return False
-
-
-async def _repeated(address: str, pieces: list[bytes]) -> Attacker:
-    """Another link, on which the bytes of an earlier one are sent again."""
-    attacker = Attacker(None)
-    await attacker.open(address)
-    await attacker.repeat(pieces)
-    await attacker.listen(TOKEN)
-    await attacker.hang_up()
-    return attacker
 
 
 def _roles(what: str) -> tuple[Role, ...]:

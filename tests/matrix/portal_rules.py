@@ -1,31 +1,96 @@
-"""A mission whose access file says which coordinators may call which portals."""
+"""Hosts of a mission whose access file says which coordinators may call which portals.
+
+Every coordinator tries every portal in every way that there is, and it is the resource that says what it was
+brought to do: the machines are those that hosts have, on simulated computers.
+"""
 
 from __future__ import annotations
 
+from functools import cached_property
 from pathlib import Path
 
 from lfield.mission.load import load_mission
+from lfield.simulate.fleet import Fleet
+
+#: The portals of each resource, and the primitives by which they are offered.
+PORTALS = {
+    ("Arm", "arm1"): ("home", "grab"),
+    ("Arm", "arm2"): ("home", "grab"),
+    ("Winch", "winch"): ("up", "unreel"),
+}
+OFFERED = {"home": "Homing", "grab": "Grabbing", "up": "Raising", "unreel": "Unreeling"}
+#: How a portal may be called: it begins in each of these, or in none.
+PLAIN, TOGETHER, RESERVED, OFFER = HOW = ("plain", "together", "reserved", "offered")
+#: What a coordinator says of an offer before it calls it, of a resource that it has reserved, and at its end.
+FOUND, KEPT, THROUGH = "found", "kept", "through"
+#: Seconds that all of them have to try everything.
+PATIENCE = 60.0
+
+
+def _resource(kind: str, portals: tuple[str, ...]) -> str:
+    says = "".join(f'portal {p}(string by) {{ print(by + " {p}"); }}\n' for p in portals)
+    return f"resource {kind} {{\ninit(string[] arg) {{ }}\n{says}}}\n"
+
+
+def _tries(kind: str, resource: str, portals: tuple[str, ...]) -> str:
+    """Statements that call all portals of a resource, in all ways."""
+    calls = {p: f'it.{p}(me + " {TOGETHER}");' for p in portals}
+    tries = [f"together {{ {' '.join(calls.values())} }}"]
+    for portal in portals:
+        tries.append(f'it.{portal}(me + " {PLAIN}");')
+        tries.append(f'reserve (it) {{ print("{KEPT} {resource}"); it.{portal}(me + " {RESERVED}"); }}')
+        tries.append(
+            f"""{OFFERED[portal]}[] some = find{OFFERED[portal]}();
+            for (int i = 0; i < some.length(); i = i + 1) {{
+                if (some[i].agent() == "{resource}") {{
+                    print("{FOUND} {resource}.{portal}");
+                    some[i].{portal}(me + " {OFFER}");
+                }}
+            }}"""
+        )
+    each = "".join(f"try {{ {one} }} catch (AccessException e) {{ }}\n" for one in tries)
+    return f'{{ {kind} it = find{kind}("{resource}");\n{each} }}\n'
+
+
+def _coordinator(kind: str) -> str:
+    """One after the other: what somebody has reserved is offered to nobody else."""
+    body = "".join(_tries(*who, portals) for who, portals in PORTALS.items())
+    begins = "string me = arg[0];\nsleep(s2f(arg[1]));\n"
+    return f'coordinator {kind} {{\ninit(string[] arg) {{\n{begins}{body}print("{THROUGH}");\n}}\n}}\n'
+
+
+def _primitive(name: str, portal: str) -> str:
+    portals = f"{{{portal}: {{parameters: {{by: {{type: string}}}}}}}}"
+    return f"  {name}: {{id: skill.{portal}, portals: {portals}}}"
+
 
 FILES = {
-    ".L": """
-resource Arm {
-    init(string[] arg) { }
-    portal home() { }
-    portal grab(real width) { }
-}
-resource Winch { init(string[] arg) { } portal up() { } portal unreel() { } }
-coordinator Loader { init(string[] arg) { findArm("arm1").home(); } }
-coordinator Watch { init(string[] arg) { findArm("arm2").home(); } }
-coordinator Guest { init(string[] arg) { findWinch("winch").up(); } }
-""",
+    ".L": "".join(
+        [
+            *(_resource(kind, portals) for kind, portals in {k: p for (k, _), p in PORTALS.items()}.items()),
+            *(_coordinator(kind) for kind in ("Loader", "Watch", "Guest")),
+        ]
+    ),
     ".dL": """//Arm:arm1@alpha
 //Arm:arm2@bravo
 //Winch:winch@bravo
-//Loader:loader@alpha
-//Watch:day@alpha
-//Watch:night@bravo
-//Guest:guest@bravo
+//Loader:loader@alpha?1.0
+//Watch:day@alpha?3.0
+//Watch:night@bravo?5.0
+//Guest:guest@bravo?7.0
 """,
+    ".capabilities.yaml": "\n".join(
+        [
+            "registry: 1",
+            "taxonomy:",
+            *(f"  skill.{portal}: {{meaning: what is tried here}}" for portal in OFFERED),
+            "primitives:",
+            *(_primitive(name, portal) for portal, name in OFFERED.items()),
+            "providers:",
+            "  Arm: {serves: {Homing: {}, Grabbing: {}}}",
+            "  Winch: {serves: {Raising: {}, Unreeling: {}}}",
+        ]
+    ),
     ".access.yaml": """coordinators:
   loader:
     Arm: [home]
@@ -40,15 +105,35 @@ coordinator Guest { init(string[] arg) { findWinch("winch").up(); } }
 
 
 class Portals:
-    """The rules of that mission, and those of the same mission without."""
+    """What came of all that was tried in that mission."""
 
     def __init__(self, folder: Path) -> None:
         for ending, text in FILES.items():
             (folder / f"mission{ending}").write_text(text)
-        self.mission = load_mission(folder / "mission.dL")
+        self._mission = load_mission(folder / "mission.dL")
+
+    @cached_property
+    def said(self) -> frozenset[str]:
+        """Every line of the team, until each coordinator has tried everything."""
+        fleet = Fleet(self._mission, 1, keeps=False)
+        through = {f"{member.id}: {THROUGH}" for member in self._mission.team.coordinators}
+        while not through <= (said := frozenset(text.strip() for _, _, text in fleet.log)):
+            assert fleet.now < PATIENCE, f"somebody has not tried everything: {fleet.log}"
+            fleet.run(1.0)
+        fleet.close()
+        return said
 
     def tried(self, who: str, what: str) -> bool:
-        """Whether a coordinator may call a portal: `arm1.home`."""
-        members = {member.id: member for member in self.mission.team.members}
+        """Whether a coordinator may call a portal: `arm1.home`; in every way, or in none."""
         resource, _, portal = what.partition(".")
-        return not self.mission.access.refusal(members[who], members[resource], portal)
+        done = {how: self._has_begun(who, how, resource, portal) for how in HOW}
+        done[FOUND] = f"{who}: {FOUND} {what}" in self.said
+        assert len(set(done.values())) == 1, f"{who} calls {what}: {done}"
+        return done[PLAIN]
+
+    def reserved(self, who: str, resource: str) -> bool:
+        """Whether a coordinator has had a resource for itself."""
+        return f"{who}: {KEPT} {resource}" in self.said
+
+    def _has_begun(self, who: str, how: str, resource: str, portal: str) -> bool:
+        return f"{resource}: {who} {how} {portal}" in self.said

@@ -77,7 +77,8 @@ def page() -> str:
         "# The security matrix",
         "",
         "Made of [the table](../../tests/matrix/security.yaml) by `python tests/matrix/page.py --write`.",
-        "A test tries every cell against the links, doors and bundles that hosts have.",
+        "A test tries every cell where a host decides of it: on its links, at its Unix socket,",
+        "as `lfield up` starts it, and in its machine.",
         "",
         f"{len(every)} cells, {sum(cell.kept for cell in every)} of them as they should be.",
     ]

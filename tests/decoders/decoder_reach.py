@@ -1,0 +1,133 @@
+"""The functions that read what others send, by the targets that are there for them: what no input reaches.
+
+Only calls are watched, and lines in those functions alone: it takes little more time than the inputs do. Of
+targets that are not here a whole machine, host or driver reads what comes, or the readers of a language,
+whose rooms have tests of their own.
+"""
+
+from __future__ import annotations
+
+import random
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from inspect import isclass
+from linecache import getline
+from types import CodeType, FrameType
+from typing import Any
+
+from decoder_corpus import corpus_of
+from decoder_mutations import mutated
+from decoder_target import Target
+
+from lfield.authority import identity, reading, signature
+from lfield.driver.serial.framing import Lines, Packets
+from lfield.guard.messages import MessageReader
+from lfield.journal.pages import page_of
+from lfield.mission import bundle
+from lfield.net.framed import FramedLink
+from lfield.net.greeting import Greeting
+from lfield.wire import codec
+from lfield.wire.framing import FrameDecoder
+from lfield_can.bus.socketcand import Socketcand
+from lfield_dynamixel.bus.packets import Protocol1, Protocol2, split_fast
+
+_MESSAGES = (codec.decode, codec._check, codec._strict)
+READS: Mapping[str, Sequence[object]] = {
+    "stream": (
+        FrameDecoder,
+        codec.frame_decoder,
+        codec.limits,
+        FramedLink.received,
+        FramedLink.finished,
+        FramedLink._oversize,
+    ),
+    "greeting": (*_MESSAGES, codec._decode_hello, Greeting.receive),
+    "control": (*_MESSAGES, Greeting.admit),
+    "transfer": (codec.decode_transfer, codec._split_transfer, codec._strict),
+    "bundle-file": (bundle.contents, bundle._split),
+    "page": (page_of,),
+    "certificate": (reading.identity_in_der,),
+    "revocations": (reading.revoked_in,),
+    "names": (identity.identity_of,),
+    "signature": (signature.signed,),
+    "guard-in": (MessageReader,),
+    "guard-out": (MessageReader,),
+    "dynamixel": (Protocol1.reader, Protocol2.reader, split_fast),
+    "socketcand": (Socketcand.data_received,),
+    "serial": (Lines.feed, Packets.feed),
+}
+_BUG = "only a bug of ours gets there, and no input may"
+_LARGE = "no input is so large"
+#: By target: lines that no input reaches, each with the reason.
+UNREACHED: Mapping[str, Mapping[str, str]] = {
+    "stream": {
+        "FramedLink.received: except Exception as error:": _BUG,
+        "FramedLink.received: self.close()": _BUG,
+        "FramedLink.received: unexpected(error)": _BUG,
+    },
+    "control": {
+        'Greeting.admit: raise WireError(f"a {type(message).__name__} came before the greeting")': (
+            "here all have greeted"
+        ),
+    },
+    "bundle-file": {
+        'contents: raise BundleError(f"it is larger than {MAX_SIZE >> 20} MiB")': _LARGE,
+    },
+    "page": {
+        'page_of: raise PageError("it is not of the right kind") from None': "SQLite's columns have types",
+    },
+    "revocations": {'revoked_in: raise KeysError("the revocation list is too large")': _LARGE},
+}
+
+#: Inputs that are made of the seeds of each.
+INPUTS = 200
+
+
+def codes_of(thing: Any) -> Iterator[CodeType]:
+    """The code of a function and of all functions in it, or of those of a class."""
+    if isclass(thing):
+        for inner in vars(thing).values():
+            if not isclass(inner):
+                yield from codes_of(inner)
+        return
+    for held in ("fget", "func", "__func__", "__wrapped__", "__code__"):
+        thing = getattr(thing, held, thing)
+    if isinstance(thing, CodeType):
+        yield thing
+        for constant in thing.co_consts:
+            yield from codes_of(constant)
+
+
+def unreached(target: Target, functions: Sequence[object]) -> set[str]:
+    """The lines of these functions that no seed, no input kept, and none made of those has run, as texts."""
+    codes = {code for thing in functions for code in codes_of(thing)}
+    ran: set[tuple[CodeType, int]] = set()
+
+    def line(frame: FrameType, event: str, argument: object) -> Any:
+        ran.add((frame.f_code, frame.f_lineno))
+        return line
+
+    def call(frame: FrameType, event: str, argument: object) -> Any:
+        return line if frame.f_code in codes else None
+
+    known, dice = [*target.good, *corpus_of(target.name)], random.Random(target.name)
+    made = (
+        mutated(target, dice.choice(known), dice, dice.choice(known)) for _ in range(INPUTS // target.share)
+    )
+    before = sys.gettrace()
+    sys.settrace(call)
+    try:
+        for data in (*known, *made):
+            target.take(data)
+    finally:
+        sys.settrace(before)
+    return {_text(code, number) for code in codes for number in _lines(code) if (code, number) not in ran}
+
+
+def _lines(code: CodeType) -> set[int]:
+    lines = {number for _, _, number in code.co_lines() if number}
+    return lines - {code.co_firstlineno} if code.co_name != "<lambda>" else set()
+
+
+def _text(code: CodeType, number: int) -> str:
+    return f"{code.co_qualname}: {getline(code.co_filename, number).strip()}"
