@@ -345,7 +345,8 @@ class Peers:
         if hello.role == "host":
             self._linked(session, hello)
             return
-        pushed = self._observers.enter(session, session.caller)
+        # By who they are, which is known: whoever is at the same address must not lose a link for theirs.
+        pushed = self._observers.enter(session, str(session.link.who))
         if pushed is not None:
             pushed.turn_away(f"over {MOST_OBSERVERS} observers have links to this host")
 
