@@ -14,7 +14,7 @@ from certificates import Team
 from lfield.authority.identity import Identity, Right
 from lfield.net.stream import PIECE, StreamLink, TlsLink, nobody_known
 from lfield.net.tls import Channel, Tls
-from lfield.net.waiting.reception import AT_ONCE, ROUND, Reception
+from lfield.net.waiting.reception import AT_ONCE, LONGEST, ROUND, Reception
 from lfield.simulate.time import run_jumping
 from lfield.testing.transport_kit import MAX_BLOCK, Recorder, transfer
 from lfield.wire.codec import encode, encode_transfer
@@ -69,9 +69,13 @@ class Wire(asyncio.Transport):
 
 
 class Greeter(Recorder):
-    """Takes a greeting as a host does."""
+    """Takes a greeting as a host does, and works for each message."""
+
+    def works(self) -> None:
+        pass
 
     def on_message(self, link, message) -> None:
+        self.works()
         super().on_message(link, message)
         if isinstance(message, Hello):
             link.greeted(message.role)
@@ -115,7 +119,8 @@ class Inn:
     """A host without anything in it, and its callers, over one of the two ways."""
 
     def __init__(self, way: str) -> None:
-        self.loop, self.reception, self.way = asyncio.get_running_loop(), Reception(), way
+        self.work = 0.0
+        self.loop, self.reception, self.way = asyncio.get_running_loop(), Reception(self.busy), way
         self.callers: list[Caller] = []
         self.team = Team()
         self.tls = Tls(self.team.host("alpha"))
@@ -130,6 +135,9 @@ class Inn:
             made = TlsCaller(self, name, tls, keys)
         self.callers.append(made)
         return made
+
+    def busy(self) -> float:
+        return self.work
 
     @property
     def heard(self) -> int:
@@ -185,6 +193,18 @@ def test_what_waits_is_taken_in_its_order_to_the_last_and_then_is_read_on(at_inn
         anna.say(whole[:7])
         anna.say(whole[7:])
         assert anna.hears.heard[-1] == STOP
+
+    at_inn(story)
+
+
+def test_of_what_costs_much_less_is_taken(at_inn):
+    async def story(inn):
+        anna = inn.caller("anna")
+        anna.hears.works = lambda: setattr(inn, "work", inn.work + LONGEST / 2)
+        anna.say(encode(HELLO) + FLOOD)
+        assert anna.heard == 2
+        await asyncio.sleep(9.5 * ROUND)
+        assert anna.heard == 20
 
     at_inn(story)
 

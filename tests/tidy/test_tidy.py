@@ -47,8 +47,6 @@ SMALL = {
     "lfield/host/surroundings.py": "what the core may look at",
     "lfield/net/control.py": "the door of a fake, from outside",
     "lfield/net/guests.py": "who may wait at the door before the greeting",
-    "lfield/net/waiting/reception.py": "where callers wait, in rounds",
-    "lfield/net/waiting/turns.py": "whose message is next",
     "lfield/simulate/judging/breaches.py": "what a judge says, for all of them",
     "lfield/simulate/judging/devices.py": "what the fake hardware saw",
     "lfield/simulate/judging/saved.py": "what is asked of simulated journals",
