@@ -18,6 +18,8 @@ from lfield.wire.codec import (
 )
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from lfield.authority.identity import Identity
     from lfield.errors import LfieldError
     from lfield.net.transport import LinkHandler
@@ -81,15 +83,11 @@ class FramedLink:
             self.write_now(head)
             self.write_now(block)
 
-    def received(self, data: Buffer) -> int:
-        """Hand on what the next bytes complete; close on bytes or messages that must not be.
-
-        Returns how many messages that were.
-        """
-        frame, count = self._decoder.whole(data), 0
+    def received(self, data: Buffer) -> None:
+        """Hand on what the next bytes complete; close on bytes or messages that must not be."""
+        frame = self._decoder.whole(data)
         try:
             for kind, payload in self._decoder.feed(data) if frame is None else (frame,):
-                count += 1
                 if kind == TRANSFER:
                     header, block = decode_transfer(payload)
                     self.handler.on_transfer(self, header, block)
@@ -103,7 +101,19 @@ class FramedLink:
         except Exception as error:
             self.close()
             unexpected(error)
-        return count
+
+    def one_by_one(self, data: Buffer) -> Iterator[None]:
+        """The same for somebody who may have sent thousands: goes on with one message, or less, at a time."""
+        rest = memoryview(data)
+        while True:
+            yield
+            if self.closed:
+                return
+            size = self._decoder.one(rest)
+            self.received(rest[:size])
+            rest = rest[size:]
+            if not rest:
+                return
 
     def finished(self, error: LfieldError | None) -> None:
         """The stream has ended; the first reason known is the one reported."""

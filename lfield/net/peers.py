@@ -37,7 +37,7 @@ PING_EVERY, SILENT_FOR = 1.0, 3.0
 QUIET_FOR = 10.0
 #: So long at most a call is new, in seconds.
 NEW_FOR = 1.0
-#: So many links at most that have not greeted, and of observers.
+#: So many links at most that have not greeted, by address, and of observers, by who they are.
 MOST_UNGREETED, MOST_OBSERVERS = 64, 64
 #: So many descriptors are kept for the next callers, one of which may be an emergency stop.
 SPARE, FULL = 4, "this computer lets this host open no more links"
@@ -345,7 +345,7 @@ class Peers:
         if hello.role == "host":
             self._linked(session, hello)
             return
-        pushed = self._observers.enter(session, session.caller)
+        pushed = self._observers.enter(session, str(session.link.who))
         if pushed is not None:
             pushed.turn_away(f"over {MOST_OBSERVERS} observers have links to this host")
 

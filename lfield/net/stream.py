@@ -13,10 +13,11 @@ from lfield.net.framed import FramedLink
 from lfield.net.transport import join_address
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
 
     from lfield.net.tls import Channel, Tls
     from lfield.net.transport import Link, LinkHandler
+    from lfield.net.waiting.reception import Reception
     from lfield.wire.framing import Buffer
     from lfield.wire.messages import Role
 
@@ -28,16 +29,21 @@ CALLER = "a command on this computer"
 LAST_WORDS = 5.0
 #: So many bytes may wait at most for somebody who only looks: some of the longest answers.
 FOR_OBSERVERS = 4 << 20
-#: So many messages of somebody who only looks are taken at once, and so many a second: whoever asks without
-#: an end must not keep a host from an emergency stop.
-AT_ONCE, A_SECOND = 16, 200
+#: So many bytes of TLS at most are one message of those who wait: what is in them may be less than one.
+PIECE = 1 << 10
+#: Who is no host of the team, as TLS or the kernel says.
+GUESTS = ("person", "local")
 #: Who called and was gone before anybody looked: it has no address any more.
 GONE = "somebody who was gone at once"
 
 
 class StreamLink(FramedLink, asyncio.Protocol):
     """One connection in plain bytes, the end that `calls` or the other. `resident` says who is at an address
-    of a network."""
+    of a network.
+
+    What comes of a host is taken as it comes, and so is what comes of whom this end has called. Whoever else
+    calls waits at the `reception` for each of its messages, and is read no further meanwhile.
+    """
 
     _transport: asyncio.Transport
 
@@ -46,17 +52,21 @@ class StreamLink(FramedLink, asyncio.Protocol):
         max_block: int,
         max_pending: int,
         on_link: Callable[[Link], LinkHandler],
+        reception: Reception,
         resident: Callable[[str], Identity],
         *,
         calls: bool,
     ) -> None:
         super().__init__("a peer", max_block)
         self._max_pending, self._calls = max_pending, calls
-        self._on_link, self._resident = on_link, resident
+        self._on_link, self._reception, self._resident = on_link, reception, resident
         self._loop = asyncio.get_running_loop()
         self._waiting: list[Buffer] = []
         self._patience: asyncio.TimerHandle | None = None
-        self._looks = False
+        #: Whether all that comes is taken at once, and whether the other has greeted as an observer.
+        self._straight, self._looks = calls, False
+        #: What has come and was not taken yet, of whoever has to wait.
+        self._left: Iterator[None] | None = None
 
     async def ready(self) -> None:
         """Return when messages can be sent. Raises GreetingError, WireError and AddressError."""
@@ -87,6 +97,7 @@ class StreamLink(FramedLink, asyncio.Protocol):
         """See `Link.greeted`."""
         super().greeted(role)
         self._looks = role == "observer"
+        self._straight = not self._looks
         if self._looks and self._max_pending > FOR_OBSERVERS:
             self._max_pending = FOR_OBSERVERS
             self._transport.set_write_buffer_limits(high=self._max_pending)
@@ -117,17 +128,38 @@ class StreamLink(FramedLink, asyncio.Protocol):
         self.handler = self._on_link(self)
 
     def data_received(self, data: bytes) -> None:
-        self._rest(self.received(data))
+        if self._straight:
+            self.received(data)
+        else:
+            self._meet(self.one_by_one(data))
 
-    def _rest(self, count: int) -> None:
-        """Read nothing for a while from somebody who only looks, and has sent so many messages."""
-        if self._looks and count > AT_ONCE and not self._transport.is_closing():
+    def _meet(self, coming: Iterator[None]) -> None:
+        """Take what has come of a caller, until it turns out to be none of a host: then it waits."""
+        for _ in coming:
+            if self._is_guest:
+                self._left = coming
+                self._reception.enter(self, str(self.who))
+                self._wait()
+                return
+
+    @property
+    def _is_guest(self) -> bool:
+        """Whether this is no host, as far as it is known. A host that comes back waits behind nobody."""
+        return self._looks or (not self._straight and self.who.kind in GUESTS)
+
+    def _wait(self) -> None:
+        if self._left is not None and not self._transport.is_closing():
             self._transport.pause_reading()
-            self._loop.call_later(count / A_SECOND, self._read_on)
 
-    def _read_on(self) -> None:
+    def take_one(self) -> bool:
+        """See `Waiting.take_one`: whoever has nothing left is read on."""
+        assert self._left is not None
+        for _ in self._left:
+            return True
+        self._left = None
         if not self._transport.is_closing():
             self._transport.resume_reading()
+        return False
 
     def pause_writing(self) -> None:
         """Asyncio's word for: more bytes wait than `max_pending`."""
@@ -138,6 +170,8 @@ class StreamLink(FramedLink, asyncio.Protocol):
     def connection_lost(self, exc: Exception | None) -> None:
         if self._patience is not None:
             self._patience.cancel()
+        self._reception.leave(self)
+        self._left = None
         self.finished(AddressError(self.peer, f"the connection was lost: {exc}") if exc else None)
 
 
@@ -149,11 +183,12 @@ class TlsLink(StreamLink):
         max_block: int,
         max_pending: int,
         on_link: Callable[[Link], LinkHandler],
+        reception: Reception,
         tls: Tls,
         *,
         calls: bool,
     ) -> None:
-        super().__init__(max_block, max_pending, on_link, nobody_known, calls=calls)
+        super().__init__(max_block, max_pending, on_link, reception, nobody_known, calls=calls)
         self._tls = tls
         self._channel: Channel | None = None
         self._proven: asyncio.Future[None] = self._loop.create_future()
@@ -169,23 +204,44 @@ class TlsLink(StreamLink):
 
     def data_received(self, data: bytes) -> None:
         channel = self._channel = self._channel or self._tls.channel(calls=False)
-        count = 0
+        if not self._straight:
+            self._meet(self._opened(channel, data))
+            return
         try:
             for plain in channel.feed(data):
                 self.who = channel.who
-                count += self.received(plain)
+                self.received(plain)
                 if self.closed:
                     return
         except LfieldError as error:
-            self._error = self._error or error
-            self._say(channel)
-            self.close()
+            self._broken(channel, error)
             return
         self._say(channel)
-        self._rest(count)
         if channel.proven and not self._proven.done():
             self.who = channel.who
             self._proven.set_result(None)
+
+    def _opened(self, channel: Channel, data: bytes) -> Iterator[None]:
+        """The same a little at a time: a record may have a thousand messages, or nothing but work."""
+        view = memoryview(data)
+        try:
+            for start in range(0, len(view), PIECE):
+                for plain in channel.feed(view[start : start + PIECE]):
+                    self.who = channel.who
+                    yield from self.one_by_one(plain)
+                    if self.closed:
+                        return
+                self._say(channel)
+                self.who = channel.who
+                if start + PIECE < len(view):
+                    yield
+        except LfieldError as error:
+            self._broken(channel, error)
+
+    def _broken(self, channel: Channel, error: LfieldError) -> None:
+        self._error = self._error or error
+        self._say(channel)
+        self.close()
 
     def _put(self, data: Buffer) -> None:
         # Before it is known who is there, there is nobody to tell anything.

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 from lfield.errors import AddressError, NobodyListens
 from lfield.net.stream import UNIX, StreamLink, TlsLink, nobody_known, socket_address
 from lfield.net.transport import split_address
+from lfield.net.waiting.reception import Reception
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -57,6 +58,7 @@ class TcpTransport:
         self._tls, self._resident = tls, resident
         self._max_pending = 4 * max_block + (1 << 20) if max_pending is None else max_pending
         self._connect_timeout = connect_timeout
+        self._reception = Reception()
 
     async def listen(self, address: str, on_link: Callable[[Link], LinkHandler]) -> TcpListener:
         """Listen at exactly that address; port 0 takes a free one. Raises AddressError.
@@ -114,9 +116,10 @@ class TcpTransport:
         return link
 
     def _new_link(self, on_link: Callable[[Link], LinkHandler], *, plain: bool, calls: bool) -> StreamLink:
+        block, pending, reception = self._max_block, self._max_pending, self._reception
         if plain or self._tls is None:
-            return StreamLink(self._max_block, self._max_pending, on_link, self._resident, calls=calls)
-        return TlsLink(self._max_block, self._max_pending, on_link, self._tls, calls=calls)
+            return StreamLink(block, pending, on_link, reception, self._resident, calls=calls)
+        return TlsLink(block, pending, on_link, reception, self._tls, calls=calls)
 
 
 def _path(address: str) -> Path:

@@ -94,6 +94,16 @@ class FrameDecoder:
             return None
         return kind, memoryview(data)[HEADER_SIZE:]
 
+    def one(self, data: Buffer) -> int:
+        """How many of the next bytes to feed so that they complete one frame at most: all, if they do not."""
+        if self._body is not None:
+            return min(self._missing, len(data))
+        had = len(self._start)
+        if had + len(data) < HEADER_SIZE:
+            return len(data)
+        length: int = _HEADER.unpack(bytes(self._start) + data[: HEADER_SIZE - had])[0]
+        return min(HEADER_SIZE - had + max(0, length - 1), len(data))
+
     def feed(self, data: Buffer) -> Iterator[tuple[int, memoryview]]:
         """Take the next bytes and yield each frame they complete, as kind and payload.
 

@@ -54,7 +54,7 @@ class User(msgspec.Struct, frozen=True):
 
 ROOT, OWNER = User(door.ROOT), User(1000 if _ROOTS_TESTS else os.geteuid())
 SERVICE = User(OWNER.number, member=True)
-#: By row: who calls, and who runs the host. A service is in the group, the run of a user is not.
+#: By row: who calls, and who runs the host. A service and a member are in the group, other users are not.
 AT_THE_DOOR = {
     "same": (OWNER, OWNER),
     "root": (ROOT, OWNER),
@@ -103,7 +103,7 @@ class Users:
         # Whom a folder lets in is not what is tried here: it lets everybody in.
         self._folder = Path(self._left.enter_context(tempfile.TemporaryDirectory(prefix="lfield-door-")))
         shutil.chown(self._folder, OWNER.number)
-        self._folder.chmod(0o755)
+        self._folder.chmod(0o701)
         return self
 
     def __exit__(self, *_: object) -> None:

@@ -60,6 +60,32 @@ def test_a_whole_frame_is_what_feeding_it_gives_and_nothing_else_is_whole(stream
             assert len(cut(other, stream)) != 1 or before or other.unfinished or len(stream) < HEADER_SIZE
 
 
+@REPEATABLE
+@given(
+    st.lists(st.tuples(st.sampled_from([1, 2]), st.binary(max_size=100))),
+    st.binary(max_size=20),
+    st.integers(1, 300),
+)
+def test_bytes_fed_one_frame_at_a_time_give_the_same_one_by_one(frames, end, size):
+    stream = b"".join(frame(kind, payload) for kind, payload in frames) + end
+    decoder, other, found, expected = FrameDecoder(LIMITS), FrameDecoder(LIMITS), [], []
+    with suppress(WireError):
+        for piece in (stream[start : start + size] for start in range(0, len(stream), size)):
+            for one in other.feed(piece):
+                expected.append((one[0], bytes(one[1])))
+    with suppress(WireError):
+        for piece in (stream[start : start + size] for start in range(0, len(stream), size)):
+            while piece:
+                taken = decoder.one(piece)
+                assert taken > 0
+                step = cut(decoder, piece[:taken])
+                assert len(step) <= 1
+                found += step
+                piece = piece[taken:]
+    assert found == expected
+    assert decoder.unfinished == other.unfinished
+
+
 def test_a_whole_frame_is_not_copied():
     stream = frame(1, b"abc")
     (found,) = FrameDecoder(LIMITS).feed(stream)

@@ -11,6 +11,7 @@ from lfield.authority.identity import ALL, NONE, Identity
 from lfield.errors import AddressError
 from lfield.mission.access.release import Release
 from lfield.net.owner import Complaints
+from lfield.net.peers import MOST_OBSERVERS
 from lfield.net.session import Session
 from lfield.simulate import network
 from lfield.wire.messages import Hello, Refuse
@@ -254,5 +255,28 @@ def test_a_host_without_its_door_says_so_and_runs(fleet):
         (alpha,) = await team.up(mission, "alpha", door="bravo:8181")
         assert _told(alpha, "commands find this host over the network only, with a person's keys: ")
         assert await team.ended("tom") == "done"
+
+    fleet(story)
+
+
+def test_one_with_too_many_links_to_look_loses_their_own_and_nobody_elses(fleet, monkeypatch):
+    """Also of two at one address: behind one router, or on one computer."""
+
+    async def story(team):
+        mission = team.mission(PROGRAM, DEPLOYMENT)
+        await team.up(mission, "alpha", door="alpha:1")
+        desk, hello = team.network.transport("desk"), Hello("observer", "observer", 0)
+
+        async def looks(name):
+            caller = Caller(hello)
+            monkeypatch.setattr(network, "resident", lambda _: Identity("local", name, ALL))
+            (await desk.connect("alpha:1", caller)).send(hello)
+            await team.until(lambda: any(isinstance(said, Status) for said in caller.heard))
+            return caller
+
+        ben = await looks("ben")
+        annas = [await looks("anna") for _ in range(5 * MOST_OBSERVERS)]
+        await team.until(lambda: sum(not anna.ends for anna in annas) == MOST_OBSERVERS - 1)
+        assert ben.ends == []
 
     fleet(story)

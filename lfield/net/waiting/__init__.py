@@ -1,0 +1,1 @@
+"""Who waits until its messages are taken: whoever is no host of the team."""

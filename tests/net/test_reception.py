@@ -1,0 +1,354 @@
+"""Links of whoever is no host: how much is taken of them at once, of all together, and whose turn it is.
+
+The links are real ones. Between them are no sockets, and time jumps.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import socket
+
+import pytest
+from certificates import Team
+
+from lfield.authority.identity import Identity, Right
+from lfield.net.stream import PIECE, StreamLink, TlsLink, nobody_known
+from lfield.net.tls import Channel, Tls
+from lfield.net.waiting.reception import AT_ONCE, LONGEST, ROUND, Reception
+from lfield.simulate.time import run_jumping
+from lfield.testing.transport_kit import MAX_BLOCK, Recorder, transfer
+from lfield.wire.codec import encode, encode_transfer
+from lfield.wire.fields import MAX_TEXT
+from lfield.wire.framing import frame_header
+from lfield.wire.messages import Hello, Ping, Role
+from lfield.wire.observing import EmergencyStop, StatusRequest
+
+HELLO, STOP = Hello("observer", "observer", 0), EmergencyStop("now")
+FLOOD = encode(StatusRequest()) * 20_000
+#: As much as the loops read at once.
+READ = 256 << 10
+
+
+class Wire(asyncio.Transport):
+    """The transport of a link: what it was told."""
+
+    def __init__(self, family: int) -> None:
+        super().__init__()
+        self._socket = socket.socket(family)
+        self.reads, self.closing, self.said = True, False, b""
+
+    def get_extra_info(self, name: str, default: object = None) -> object:
+        return self._socket if name == "socket" else "" if name == "peername" else default
+
+    def pause_reading(self) -> None:
+        self.reads = False
+
+    def resume_reading(self) -> None:
+        self.reads = True
+
+    def write(self, data: object) -> None:
+        self.said += bytes(data)
+
+    def is_closing(self) -> bool:
+        return self.closing
+
+    def close(self) -> None:
+        self.closing = True
+
+    def abort(self) -> None:
+        self.closing = True
+
+    def get_write_buffer_size(self) -> int:
+        return 0
+
+    def set_write_buffer_limits(self, high: int | None = None, low: int | None = None) -> None:
+        pass
+
+    def free(self) -> None:
+        self._socket.close()
+
+
+class Greeter(Recorder):
+    """Takes a greeting as a host does, and works for each message."""
+
+    def works(self) -> None:
+        pass
+
+    def on_message(self, link, message) -> None:
+        self.works()
+        super().on_message(link, message)
+        if isinstance(message, Hello):
+            link.greeted(message.role)
+
+
+class Caller:
+    """One that has called a host at its door, or in TLS with some keys; `hears` is what the host heard."""
+
+    def __init__(self, inn: Inn, name: str, link: StreamLink, family: int) -> None:
+        self.hears, self.wire, self.link, self._loop = Greeter(), Wire(family), link, inn.loop
+        link._on_link = lambda _: self.hears
+        link.connection_made(self.wire)
+        if family == socket.AF_UNIX:
+            link.who = Identity("local", name, frozenset({Right.OBSERVE, Right.STOP}))
+
+    def say(self, data: bytes) -> None:
+        assert self.wire.reads, "more was read of somebody who waits"
+        self.link.data_received(data)
+
+    @property
+    def heard(self) -> int:
+        return len(self.hears.heard)
+
+
+class TlsCaller(Caller):
+    """Its handshake is done but for the last bytes, which go out with its first words."""
+
+    def __init__(self, inn: Inn, name: str, link: TlsLink, keys) -> None:
+        super().__init__(inn, name, link, socket.AF_INET)
+        self._channel = Tls(keys).channel(calls=True)
+        self.link.data_received(self._channel.take())
+        assert list(self._channel.feed(self.wire.said)) == []
+        assert self._channel.proven
+
+    def say(self, data: bytes, record: int = 550) -> None:
+        parts = (data[start : start + record] for start in range(0, len(data), record))
+        super().say(b"".join([self._channel.take(), *map(self._channel.seal, parts)]))
+
+
+class Inn:
+    """A host without anything in it, and its callers, over one of the two ways."""
+
+    def __init__(self, way: str) -> None:
+        self.work = 0.0
+        self.loop, self.reception, self.way = asyncio.get_running_loop(), Reception(self.busy), way
+        self.callers: list[Caller] = []
+        self.team = Team()
+        self.tls = Tls(self.team.host("alpha"))
+
+    def caller(self, name: str, *, host: bool = False) -> Caller:
+        if self.way == "unix":
+            link = StreamLink(MAX_BLOCK, 1 << 20, Recorder, self.reception, nobody_known, calls=False)
+            made: Caller = Caller(self, name, link, socket.AF_UNIX)
+        else:
+            keys = self.team.host(name) if host else self.team.person(name, Right.OBSERVE)
+            tls = TlsLink(MAX_BLOCK, 1 << 20, Recorder, self.reception, self.tls, calls=False)
+            made = TlsCaller(self, name, tls, keys)
+        self.callers.append(made)
+        return made
+
+    def busy(self) -> float:
+        return self.work
+
+    @property
+    def heard(self) -> int:
+        return sum(caller.heard for caller in self.callers)
+
+    def close(self) -> None:
+        for caller in self.callers:
+            caller.link.connection_lost(None)
+            caller.wire.free()
+
+
+@pytest.fixture(params=["unix", "tls"])
+def at_inn(request):
+    """Run a story at a host."""
+
+    def run(story) -> None:
+        async def told() -> None:
+            inn = Inn(request.param)
+            try:
+                await story(inn)
+            finally:
+                inn.close()
+
+        run_jumping(told())
+
+    return run
+
+
+def test_one_read_of_thousands_is_taken_in_rounds_and_no_more_is_read_meanwhile(at_inn):
+    async def story(inn):
+        anna = inn.caller("anna")
+        anna.say(encode(HELLO) + FLOOD)
+        assert anna.heard == AT_ONCE
+        assert not anna.wire.reads
+        await asyncio.sleep(10.5 * ROUND)
+        assert 6 * AT_ONCE <= anna.heard <= 11 * AT_ONCE
+        assert not anna.wire.reads
+
+    at_inn(story)
+
+
+def test_what_waits_is_taken_in_its_order_to_the_last_and_then_is_read_on(at_inn):
+    async def story(inn):
+        anna = inn.caller("anna")
+        said = [Ping(number) for number in range(200)]
+        anna.say(b"".join(map(encode, [HELLO, *said])))
+        assert not anna.wire.reads
+        while not anna.wire.reads:
+            await asyncio.sleep(ROUND)
+        assert anna.hears.heard == [HELLO, *said]
+        await asyncio.sleep(ROUND)
+        whole = encode(STOP)
+        anna.say(whole[:7])
+        anna.say(whole[7:])
+        assert anna.hears.heard[-1] == STOP
+
+    at_inn(story)
+
+
+def test_of_what_costs_much_less_is_taken(at_inn):
+    async def story(inn):
+        anna = inn.caller("anna")
+        anna.hears.works = lambda: setattr(inn, "work", inn.work + LONGEST / 2)
+        anna.say(encode(HELLO) + FLOOD)
+        assert anna.heard == 2
+        await asyncio.sleep(9.5 * ROUND)
+        assert anna.heard == 20
+
+    at_inn(story)
+
+
+def test_sixty_links_together_have_no_more_than_one(at_inn):
+    async def story(inn):
+        for _ in range(60):
+            inn.caller("anna").say(encode(HELLO) + FLOOD)
+        assert inn.heard <= AT_ONCE
+        await asyncio.sleep(9.5 * ROUND)
+        assert inn.heard <= 10 * AT_ONCE
+        assert max(caller.heard for caller in inn.callers[1:]) <= 3
+
+    at_inn(story)
+
+
+def test_a_stop_on_a_new_link_gets_through_a_flood_in_the_next_round(at_inn):
+    async def story(inn):
+        for _ in range(60):
+            inn.caller("anna").say(encode(HELLO) + FLOOD)
+        await asyncio.sleep(5 * ROUND)
+        ben = inn.caller("ben")
+        ben.say(encode(HELLO) + encode(STOP))
+        await asyncio.sleep(1.1 * ROUND)
+        assert ben.hears.heard == [HELLO, STOP]
+        # And one of whoever floods, behind one turn of each other link.
+        again = inn.caller("anna")
+        again.say(encode(HELLO) + encode(STOP))
+        await asyncio.sleep(18 * ROUND)
+        assert again.hears.heard == [HELLO, STOP]
+
+    at_inn(story)
+
+
+def test_nobody_who_asks_now_and_then_waits(at_inn):
+    async def story(inn):
+        anna = inn.caller("anna")
+        anna.say(encode(HELLO))
+        for count in range(2, 50):
+            anna.say(encode(StatusRequest()))
+            assert anna.heard == count
+            await asyncio.sleep(ROUND)
+
+    at_inn(story)
+
+
+def test_a_long_message_comes_whole(at_inn):
+    async def story(inn):
+        anna = inn.caller("anna")
+        stop = EmergencyStop("x" * MAX_TEXT)
+        anna.say(encode(HELLO) + encode(stop) + FLOOD)
+        await asyncio.sleep(ROUND * 20)
+        assert anna.hears.heard[:3] == [HELLO, stop, StatusRequest()]
+
+    at_inn(story)
+
+
+def test_who_says_what_must_not_be_is_closed_and_the_rest_is_nothing(at_inn):
+    async def story(inn):
+        anna, ben = inn.caller("anna"), inn.caller("ben")
+        anna.say(encode(HELLO) + encode(Ping(1)) * 30 + frame_header(99, 1) + FLOOD)
+        await asyncio.sleep(ROUND * 10)
+        assert anna.heard == 31
+        assert anna.wire.closing
+        assert anna.link.closed
+        ben.say(encode(HELLO) + FLOOD)
+        ben.link.abort()
+        had = ben.heard
+        await asyncio.sleep(ROUND * 10)
+        assert ben.heard == had
+        assert ben.link._left is None
+
+    at_inn(story)
+
+
+def test_who_goes_while_it_waits_is_forgotten(at_inn):
+    async def story(inn):
+        anna = inn.caller("anna")
+        anna.say(encode(HELLO) + FLOOD)
+        anna.link.connection_lost(None)
+        had = anna.heard
+        await asyncio.sleep(ROUND * 10)
+        assert anna.heard == had
+        assert anna.hears.ends == [None]
+        inn.callers.remove(anna)
+        anna.wire.free()
+
+    at_inn(story)
+
+
+# In TLS alone
+
+
+def run_tls(story) -> None:
+    async def told() -> None:
+        inn = Inn("tls")
+        try:
+            await story(inn)
+        finally:
+            inn.close()
+
+    run_jumping(told())
+
+
+def test_records_without_a_whole_message_in_them_count_too(monkeypatch):
+    """Of a message in a thousand records each is work; so is what has no message at all."""
+
+    async def story(inn):
+        anna, parts = inn.caller("anna"), []
+        received = StreamLink.received
+        monkeypatch.setattr(
+            StreamLink, "received", lambda link, data: (parts.append(1), received(link, data))
+        )
+        anna.say(encode(HELLO) + FLOOD[: READ // 30], record=1)
+        assert len(parts) <= AT_ONCE
+        await asyncio.sleep(9.5 * ROUND)
+        assert len(parts) <= 10 * AT_ONCE
+
+    run_tls(story)
+
+
+def test_no_more_is_decrypted_at_a_time_than_a_piece(monkeypatch):
+    async def story(inn):
+        anna, fed = inn.caller("anna"), []
+        feed = Channel.feed
+        monkeypatch.setattr(Channel, "feed", lambda self, data: (fed.append(len(data)), feed(self, data))[1])
+        anna.say(encode(HELLO) + FLOOD, record=16 << 10)
+        assert max(fed) <= PIECE
+
+    run_tls(story)
+
+
+@pytest.mark.parametrize("role", ["host", "observer"])
+def test_a_host_waits_behind_nobody_unless_it_only_looks(role: Role):
+    """Also one that comes back, and whatever it sends with its greeting."""
+
+    async def story(inn):
+        for _ in range(60):
+            inn.caller("anna").say(encode(HELLO) + FLOOD)
+        bravo, block = inn.caller("bravo", host=True), b"block"
+        bravo.say(encode(Hello(role, "bravo", 7)) + encode(Ping(1)) * 100)
+        assert bravo.heard == (101 if role == "host" else 1)
+        if role == "host":
+            bravo.say(encode_transfer(transfer(len(block)), block) + block + encode(Ping(2)) * 100)
+            assert bravo.heard == 202
+
+    run_tls(story)
