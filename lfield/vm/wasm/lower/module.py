@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 from lfield.bytecode.program import Program
@@ -34,7 +35,7 @@ def module(prepared: Prepared) -> Module:
     count = len(prepared.program.core.methods)
     methods = {i: m for i in range(count) if (m := _method(prepared, i, traps))}
     for method in methods.values():
-        method.others = methods.keys()
+        method.others = methods
     functions = [m.text() for m in methods.values()]
     points = {pc: number for m in methods.values() for pc, number in m.points.items()}
     tables = Tables(prepared.program, TABLES)
@@ -55,11 +56,11 @@ def module(prepared: Prepared) -> Module:
         f"(table {count} funcref)",
         f"(elem (i32.const 0) func {' '.join(f'$e{i}' if i in methods else '$none' for i in range(count))})",
         "(func $none (type $entry) unreachable)",
-        *(_entry(m, prepared) for m in methods.values()),
+        *(_entry(m) for m in methods.values()),
         *functions,
         traps.text(),
         maths_text(name for name in MATHS if any(f" {maths_name(name)} " in text for text in functions)),
-        driver(_deepest(prepared), tables, catches=not prepared.program.has_limits),
+        driver(_deepest(methods.values()), tables, catches=not prepared.program.has_limits),
         ")",
     ]
     return Module("\n".join(line for line in lines if line) + "\n", points)
@@ -77,9 +78,9 @@ def _method(prepared: Prepared, index: int, traps: Traps) -> Method | None:
         return None
 
 
-def _deepest(prepared: Prepared) -> int:
+def _deepest(methods: Iterable[Method]) -> int:
     """How many calls fit WebAssembly's own stack; deeper ones begin a new one from the driver."""
-    slots = max((len(m.slots) for m in prepared.program.core.methods), default=1)
+    slots = max((m.slots.stacked for m in methods), default=1)
     return STACK // 2 // (256 + 24 * slots)
 
 
@@ -89,10 +90,9 @@ def _strings(data: bytes) -> str:
     return "\n".join(f'"{piece}"' for piece in pieces)
 
 
-def _entry(m: Method, prepared: Prepared) -> str:
+def _entry(m: Method) -> str:
     """How the driver calls a method's function: without arguments, its result as a word."""
-    parameters = prepared.program.core.methods[m.index].parameters + 1
-    nothing = " ".join(f"({t}.const 0)" for t in m.slots[:parameters])
+    nothing = " ".join(m.slots.nothing)
     lines = [
         f"(func $e{m.index} (type $entry) (local $status i32)",
         f"(call $m{m.index} (local.get 0) (local.get 1) {nothing})",
