@@ -37,6 +37,7 @@ from lfield.vm.wasm.choice import has_wasm, wasm_engine
 PORTS = ("ttyUSB*", "ttyACM*", "ttyAMA*", "ttyTHS*", "serial0")
 #: Milliseconds that a USB adapter may hold bytes back; the usual 16 costs that for every answer.
 LATENCY = 1
+_AGAIN = "pip install 'lfield[wasm]' again, for this processor, and see 'ulimit -v'"
 #: What is tried of an engine: whatever a version of wasmtime may lack is in the code of any such program.
 _TRIED = """
 resource Tried {
@@ -89,9 +90,7 @@ def engine() -> Finding:
             wasm.Engine(compile_program(check_text(_TRIED, "tried.L").or_raise()), float)
     except NoEngine as unusable:
         what = f"the reference engine runs programs: {unusable}"
-        return Finding(
-            "warning", what, "pip install 'lfield[wasm]' again, for this processor, and see 'ulimit -v'"
-        )
+        return Finding("warning", what, _AGAIN)
     return Finding("ok", f"wasmtime {importlib.metadata.version('wasmtime')} runs programs")
 
 
