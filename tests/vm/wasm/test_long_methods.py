@@ -1,4 +1,4 @@
-"""Long methods: making their code grows with their length, and what WebAssembly refuses is only one method."""
+"""Long methods: making their code grows with their length, and what WebAssembly refuses is one method."""
 
 from __future__ import annotations
 
