@@ -36,7 +36,7 @@ def engines_for(choice: str, note: Note) -> Engines:
     def make(program: Program, now: Callable[[], float]) -> Engine:
         try:
             with wasm_engine() as wasm:
-                return cast(Engine, wasm.Engine(program, now, UserCache(code_folder(), note)))
+                return cast(Engine, wasm.Engine(program, now, UserCache(code_folder(), note), note))
         except NoEngine as unusable:
             if choice == "wasm":
                 raise UsageError(str(unusable)) from None
@@ -64,6 +64,7 @@ class UserCache:
 
     def __init__(self, folder: Path, note: Note) -> None:
         self._folder, self._note = folder, note
+        self._told = False
 
     def get(self, name: str) -> bytes | None:
         """The content of the file with that name; None when there is none that could be believed."""
@@ -72,7 +73,7 @@ class UserCache:
         except FileNotFoundError:
             return None
         except OSError as error:
-            self._note(f"machine code is made again: {self._folder / name}: {error.strerror or error}")
+            self.damaged(name, str(error.strerror or error))
             return None
 
     def put(self, name: str, data: bytes) -> None:
@@ -82,8 +83,10 @@ class UserCache:
             self._prune()
 
     def damaged(self, name: str, reason: str) -> None:
-        """Say it in the log: the file is written again."""
-        self._note(f"machine code is made again: {self._folder / name}: {reason}")
+        """Say it in the log, of the first file: it is written again, and what else is damaged is too."""
+        if not self._told:
+            self._note(f"machine code is made again: {self._folder / name}: {reason}")
+        self._told = True
 
     def _prune(self) -> None:
         with suppress(OSError):

@@ -20,6 +20,7 @@ from typing import Literal
 
 from lfield import loop
 from lfield.clock import Clock
+from lfield.compiler.build import compile_program
 from lfield.devices.guards import Guards
 from lfield.devices.lateness import Limit
 from lfield.devices.measuring import measured
@@ -29,6 +30,7 @@ from lfield.driver.plugin import load_plugin
 from lfield.driver.plugins import Plugins
 from lfield.errors import DevicesError, NoEngine
 from lfield.guard.confine import strength
+from lfield.lang.frontend import check_text
 from lfield.net.door import GROUP, sharing
 from lfield.vm.wasm.choice import has_wasm, wasm_engine
 
@@ -36,6 +38,17 @@ from lfield.vm.wasm.choice import has_wasm, wasm_engine
 PORTS = ("ttyUSB*", "ttyACM*", "ttyAMA*", "ttyTHS*", "serial0")
 #: Milliseconds that a USB adapter may hold bytes back; the usual 16 costs that for every answer.
 LATENCY = 1
+_AGAIN = "pip install 'lfield[wasm]' again, for this processor, and see 'ulimit -v'"
+#: What is tried of an engine: whatever a version of wasmtime may lack is in the code of any such program.
+_TRIED = """
+resource Tried {
+  init(string[] arg) {
+    int k = arg.length();
+    while (k < 1000) k = k * 2 + 1;
+    print(f2s(sin(k / 2.0)) + arg[k]);
+  }
+}
+"""
 #: adjtimex's word for a clock that nothing disciplines.
 _TIME_ERROR = 5
 
@@ -88,10 +101,10 @@ def engine() -> Finding:
         )
     try:
         with wasm_engine() as wasm:
-            wasm.Heaps(1 << 16)
+            wasm.Engine(compile_program(check_text(_TRIED, "tried.L").or_raise()), float)
     except NoEngine as unusable:
         what = f"the reference engine runs programs: {unusable}"
-        return Finding("warning", what, "install it again for this processor, and see 'ulimit -v'")
+        return Finding("warning", what, _AGAIN)
     return Finding("ok", f"wasmtime {importlib.metadata.version('wasmtime')} runs programs")
 
 

@@ -68,6 +68,18 @@ def test_a_wasmtime_of_another_processor_is_told(findings, monkeypatch):
     assert one(findings(), "wasmtime cannot be used").state == "warning"
 
 
+def test_a_wasmtime_that_cannot_compile_programs_is_told(findings, monkeypatch):
+    """One of another version makes an arena and the runtime, and refuses what `up` gives it."""
+    wasmtime = pytest.importorskip("wasmtime", reason=NEEDED)
+
+    def refuse(*_):
+        raise wasmtime.WasmtimeError("WebAssembly translation error")
+
+    monkeypatch.setattr("lfield.vm.wasm.engine.code_of", refuse)
+    what = "the reference engine runs programs: wasmtime cannot be used: WebAssembly translation error"
+    assert one(findings(), what).state == "warning"
+
+
 def test_a_latency_timer_that_costs_time_is_told_with_its_cure(findings, tmp_path):
     timer = put(tmp_path / "sys/bus/usb-serial/devices/ttyUSB0/latency_timer", "16\n")
     found = one(findings(), "ttyUSB0: holds bytes back for up to 16 ms")

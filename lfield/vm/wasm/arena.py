@@ -66,12 +66,7 @@ class Arena:
         capacity = size_class(size)
         base = self.take(capacity)
         if base < 0:
-            # There is nothing new: what was larger will do.
-            larger = [known for known in list(self._free) if known > capacity and self._free[known]]
-            capacity = min(larger, default=0)
-            if not capacity:
-                return SEPARATE.room(size)
-            base = self.take(capacity)
+            return SEPARATE.room(size)
         region = _region(capacity).from_address(self.address + base)
         region.arena, region.base = self, base
         return memoryview(region).cast("B")[:size]
@@ -96,7 +91,10 @@ class Arena:
     def take(self, capacity: int) -> int:
         """Where so many bytes (a size class) are that are nobody's until they are freed; -1: nowhere."""
         free = self._free.get(capacity)
-        return free.pop() if free else self._fresh(capacity)
+        if free:
+            return free.pop()
+        base = self._fresh(capacity)
+        return base if base >= 0 else self._joined(capacity)
 
     def free(self, base: int, capacity: int) -> None:
         """Nobody has a view of a region any more; the system has the memory of a large one back."""
@@ -105,6 +103,28 @@ class Arena:
             first, last = start + -start % mmap.PAGESIZE, (start + capacity) // mmap.PAGESIZE * mmap.PAGESIZE
             _advise(first, last - first, mmap.MADV_DONTNEED)
         self._free.setdefault(capacity, []).append(base)
+
+    def _joined(self, capacity: int) -> int:
+        """A region of freed ones that lie side by side; what is left over stays free. -1: nowhere."""
+        runs: list[tuple[int, int]] = []
+        for base, size in sorted((base, size) for size, bases in self._free.items() for base in bases):
+            before, known = runs[-1] if runs else (base, 0)
+            if before + known == base:
+                runs[-1:] = [(before, known + size)]
+            else:
+                runs.append((base, size))
+        if runs and sum(runs[-1]) == self._next:
+            self._next = runs.pop()[0]
+        self._free = {}
+        for base, size in runs:
+            self._free.setdefault(size, []).append(base)
+        large = min((size for size in self._free if size >= capacity), default=0)
+        if not large:
+            return self._fresh(capacity)
+        base = self._free[large].pop()
+        if large > capacity:
+            self._free.setdefault(large - capacity, []).append(base + capacity)
+        return base
 
     def _fresh(self, capacity: int) -> int:
         """A new region from the end of the memory, which grows for it; -1 when it cannot.

@@ -46,14 +46,16 @@ class Cache(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Code:
-    """Machine code for memories with a number of reserved addresses, and the points of its instructions."""
+    """Machine code for memories with a number of reserved addresses; `points` and `left` are the module's."""
 
     compiled: wasmtime.Module
     points: dict[int, int]
+    left: dict[str, str]
 
 
 class _Kept(msgspec.Struct, frozen=True, array_like=True):
     points: dict[int, int]
+    left: dict[str, str]
     machine_code: bytes
 
 
@@ -67,7 +69,7 @@ def code_of(prepared: Prepared, reservation: int, kept: Cache | None = None) -> 
 
 def runtime_of(reservation: int, kept: Cache | None = None) -> wasmtime.Module:
     """The code of the runtime, which is the same for all programs."""
-    return _recently(b"runtime", reservation, kept, lambda: Module(runtime_text(), {})).compiled
+    return _recently(b"runtime", reservation, kept, lambda: Module(runtime_text(), {}, {})).compiled
 
 
 def _recently(digest: bytes, reservation: int, kept: Cache | None, make: Callable[[], Module]) -> Code:
@@ -90,13 +92,13 @@ def _found(digest: bytes, reservation: int, kept: Cache | None, make: Callable[[
         except (ValueError, msgspec.DecodeError, wasmtime.WasmtimeError) as error:
             kept.damaged(name, str(error).partition("\n")[0])
     code = _made(make(), reservation)
-    content = msgspec.msgpack.encode(_Kept(code.points, bytes(code.compiled.serialize())))
+    content = msgspec.msgpack.encode(_Kept(code.points, code.left, bytes(code.compiled.serialize())))
     kept.put(name, _seal(name, content) + content)
     return code
 
 
 def _made(made: Module, reservation: int) -> Code:
-    return Code(wasmtime.Module(compiler(reservation), made.text), made.points)
+    return Code(wasmtime.Module(compiler(reservation), made.text), made.points, made.left)
 
 
 def _read(name: str, data: bytes, reservation: int) -> Code:
@@ -104,7 +106,8 @@ def _read(name: str, data: bytes, reservation: int) -> Code:
     if _seal(name, content) != data[:32]:
         raise ValueError("it is not what was written there")
     found = _kept.decode(content)
-    return Code(wasmtime.Module.deserialize(compiler(reservation), found.machine_code), found.points)
+    compiled = wasmtime.Module.deserialize(compiler(reservation), found.machine_code)
+    return Code(compiled, found.points, found.left)
 
 
 def _seal(name: str, content: bytes) -> bytes:

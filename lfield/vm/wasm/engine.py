@@ -14,7 +14,7 @@ import wasmtime
 from lfield.bytecode.program import Program
 from lfield.vm.contract import SPENT, STOPPED, Done, Exit, Group, Limits, Outside, Reading
 from lfield.vm.memory.block import Block
-from lfield.vm.memory.layout import FRAME_SLOTS, THREAD_FRAME, THREAD_ID, THREAD_PC, Layouts
+from lfield.vm.memory.layout import FRAME_SLOTS, THREAD_FRAME, THREAD_ID, THREAD_PC, W_ID, Layouts
 from lfield.vm.reference import Engine as Reference
 from lfield.vm.reference.prepare import Ask
 from lfield.vm.wasm.calls import quick, unsigned
@@ -34,20 +34,34 @@ UNUSABLE = (MemoryError, OSError, wasmtime.WasmtimeError)
 
 
 class Engine:
-    """Runs threads of blocks of one program; blocks outside its arena only by the reference engine."""
+    """Runs threads of blocks of one program; blocks outside its arena only by the reference engine.
+
+    `note` takes a line where the reference engine runs what is not so rare: a method, an agent.
+    """
 
     pace = 20
     #: So many instructions of a run are the reference engine's, as to enter WebAssembly takes longer: between
     #: two portal calls, and in a portal that hands something on, there are mostly no more.
     first = 12
 
-    def __init__(self, program: Program, now: Callable[[], float], cache: Cache | None = None) -> None:
+    def __init__(
+        self,
+        program: Program,
+        now: Callable[[], float],
+        cache: Cache | None = None,
+        note: Callable[[str], object] = lambda _: None,
+    ) -> None:
         self.program = program
+        self._note = note
+        #: The agents whose blocks have been found elsewhere.
+        self._outside: set[str] = set()
         self._reference = Reference(program, now)
         self.space = Heaps(low_bytes(program), cache)
         code = code_of(self._reference.prepared, self.space.reservation, cache)
         #: The number of each instruction where WebAssembly can take over.
         self.points = code.points
+        for method, why in code.left.items():
+            note(f"the reference engine runs {method}: {why}")
         store = self.space.store
         runtime = self.space.functions.instance.exports(store)
         instance = wasmtime.Instance(
@@ -91,6 +105,7 @@ class Engine:
         """Do what is left of the budget, in WebAssembly as far as it can be."""
         base = self.space.base(block.data)
         if base < 0:
+            self._tell(block)
             return self._refer(block, thread, limits, readings, None)
         points, w = self.points, block.w
         while self.unused > 0:
@@ -109,6 +124,17 @@ class Engine:
             if leave is not STOPPED:
                 return leave
         return SPENT
+
+    def _tell(self, block: Block) -> None:
+        """Say once of an agent that WebAssembly does not run it."""
+        identity = block.string(block.w[W_ID]) if block.w[W_ID] else ""
+        if identity not in self._outside:
+            self._outside.add(identity)
+            size = f"{len(block.data) / (1 << 20):.1f} MiB"
+            self._note(
+                f"{identity or 'an agent'} is run by the reference engine, slowly: "
+                f"its block of {size} does not fit the memory of WebAssembly beside the others"
+            )
 
     def _refer(
         self,

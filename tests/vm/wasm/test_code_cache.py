@@ -76,12 +76,12 @@ def test_damaged_code_is_made_again_with_one_line(cached: Path, damage: str) -> 
             case _:
                 data[:] = os.urandom(len(data))
         path.write_bytes(data)
-    files = len(list(cached.iterdir()))
+    assert len(list(cached.iterdir())) == 2
     assert made(notes) == first
-    assert len(notes) == files
-    assert all(note.startswith("machine code is made again: ") for note in notes)
+    assert len(notes) == 1
+    assert notes[0].startswith("machine code is made again: ")
     assert made(notes) == first
-    assert len(notes) == files
+    assert len(notes) == 1
 
 
 def test_what_others_could_have_written_is_not_read(cached: Path) -> None:
@@ -203,4 +203,4 @@ def test_code_under_the_name_of_other_code_is_made_again(cached: Path) -> None:
     one.write_bytes(other.read_bytes())
     other.write_bytes(one_data)
     assert made(notes) == first
-    assert [note.rpartition(": ")[2] for note in notes] == ["it is not what was written there"] * 2
+    assert [note.rpartition(": ")[2] for note in notes] == ["it is not what was written there"]

@@ -91,7 +91,7 @@ def test_no_region_reaches_the_end_of_all_addresses() -> None:
     assert WHOLE - PAGE - 512 < last <= WHOLE - PAGE
 
 
-def test_where_nothing_new_is_left_a_larger_region_is_given_again(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_where_nothing_new_is_left_a_larger_region_is_divided(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("lfield.vm.wasm.arena.RESERVATIONS", (1 << 24,))
     arena = Heaps()
     rooms = [arena.room(1 << 20) for _ in range(20)]
@@ -100,9 +100,39 @@ def test_where_nothing_new_is_left_a_larger_region_is_given_again(monkeypatch: p
     base = arena.base(rooms[0])
     del rooms[0]
     gc.collect()
-    small = arena.room(100)
-    assert (arena.base(small), len(small)) == (base, 100)
-    assert arena.base(arena.room(100)) == -1
+    small = [arena.room(100) for _ in range(3)]
+    assert [arena.base(room) - base for room in small] == [0, 512, 1024]
+    assert arena.base(arena.room(1 << 20)) == -1
     del small
     gc.collect()
     assert arena.base(arena.room(1 << 20)) == base
+
+
+def test_freed_regions_side_by_side_are_joined(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("lfield.vm.wasm.arena.RESERVATIONS", (1 << 24,))
+    arena = Arena()
+    rooms = [arena.room(1 << 20) for _ in range(15)]
+    assert all(arena.base(room) >= 0 for room in rooms)
+    places = [arena.base(room) for room in rooms]
+    del rooms[3:6], rooms[-1]
+    gc.collect()
+    assert arena.base(arena.room(4 << 20)) == -1
+    three = arena.room(3 << 20)
+    assert arena.base(three) == places[3]
+    assert arena.base(arena.room(1 << 20)) == places[14]
+
+
+def test_a_block_grows_to_a_gibibyte_in_the_arena() -> None:
+    """Doubled again and again, each time with the one that it was copied to beside it."""
+    arena = Arena()
+    block = arena.room(1 << 20)
+    for size in [1 << n for n in range(21, 31)]:
+        copied = arena.room(len(block))
+        block = arena.room(size)
+        del copied
+        gc.collect()
+        assert arena.base(block) >= 0
+    for _ in range(3):
+        block = arena.room(1 << 30)
+        gc.collect()
+        assert arena.base(block) >= 0

@@ -29,7 +29,7 @@ REGISTERS = (*GIVEN, *KEPT, *TOLD)
 AT = {name: 8 * i for i, name in enumerate(REGISTERS)}
 #: The globals of a module, by type.
 GLOBALS = {
-    "i32": ("base", "top", "end", "frame", "point", "pc", "trap"),
+    "i32": ("base", "top", "end", "frame", "point", "pc", "trap", "status", "resume"),
     "i64": ("left", "deepest", "thread", "longest", "text", "word", "length"),
 }
 

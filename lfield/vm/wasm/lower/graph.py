@@ -13,6 +13,11 @@ from lfield.bytecode.opcodes import BY_CODE, Opcode
 from lfield.bytecode.program import CATCH, FINALLY, MethodRecord, Quad
 from lfield.vm.reference.prepare import Prepared
 
+#: A method is long whose instructions times slots, with some of our own, are more.
+LONG = 10_000
+#: No way through a long method goes over more instructions without a point.
+STRETCH = 64
+
 
 @dataclass(frozen=True, slots=True)
 class Instruction:
@@ -113,8 +118,15 @@ class Graph:
         self._quads = prepared.program.quads
         self.entry = method.entry if method.synchronized else method.entry + 1
         self.instructions = {i.pc: i for i in self._decoded()}
+        self.long = len(self.instructions) * (8 + len(method.slots)) > LONG
         self.points = {self.entry}
         self.points.update(h.target for h in method.handlers if h.kind in (CATCH, FINALLY))
+        #: Where what an instruction throws may be caught.
+        self._caught: dict[int, list[int]] = {}
+        for handler in method.handlers:
+            if handler.kind in (CATCH, FINALLY):
+                for pc in range(handler.start, handler.end):
+                    self._caught.setdefault(pc, []).append(handler.target)
         heads = self._heads()
         self.runs: dict[int, Run] = {}
         for pc in sorted(heads):
@@ -148,7 +160,21 @@ class Graph:
             elif name not in ("return", "rtn", "throw") and (name == "call" or not self._lowered(i)):
                 heads.add(i.after)
                 self.points.add(i.after)
+        if self.long:
+            heads |= self._stretched()
         return {pc for pc in heads if pc in self.instructions}
+
+    def _stretched(self) -> set[int]:
+        """More points for a long method: they cut long chains of values, which cost the compiler too much."""
+        since: dict[int, int] = {}
+        for pc, i in self.instructions.items():
+            if since.get(pc, 0) >= STRETCH:
+                self.points.add(pc)
+            passed = 1 if pc in self.points else since.get(pc, 0) + 1
+            ways = [i.quad.a, i.after] if i.row.name in ("bnz", "bz") else [i.after]
+            for to in [i.quad.a] if i.row.name == "jmp" else ways:
+                since[to] = max(since.get(to, 0), passed)
+        return self.points
 
     def _run(self, pc: int, heads: set[int]) -> Run:
         run = Run(pc)
@@ -187,7 +213,5 @@ class Graph:
             case Leave(_, to) if to is not None:
                 ways.append(to)
         inside = [*run.work, *([run.end.what] if isinstance(run.end, (Call, Throw, Leave)) else [])]
-        for handler in self.method.handlers:
-            if handler.kind in (CATCH, FINALLY) and any(handler.start <= i.pc < handler.end for i in inside):
-                ways.append(handler.target)
-        return ways
+        targets = dict.fromkeys(target for i in inside for target in self._caught.get(i.pc, ()))
+        return [*ways, *targets]

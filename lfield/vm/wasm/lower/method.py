@@ -1,15 +1,16 @@
-"""One function for each method: its slots are locals, and go to its frame when somebody may look at it.
+"""One function for each method: its slots go to its frame at the latest when somebody may look at it.
 
 The parameters are the address of the frame, the point where to resume (0: at the beginning) and the
-arguments; the results are the method's and whether it has returned (RETURNED). If it has not, every function
-on WebAssembly's stack writes its slots to its frame and gives up in turn: the block is whole then, and each
-of them can be resumed behind its call. The words of a frame before its slots are written by the caller.
+arguments where slots are locals; the results are the method's and whether it has returned (RETURNED). If it
+has not, every function on WebAssembly's stack writes its slots to its frame and gives up in turn: the block
+is whole then, and each of them can be resumed behind its call. The words of a frame before its slots are
+written by the caller.
 """
 
 from __future__ import annotations
 
 import struct
-from collections.abc import Container
+from collections.abc import Mapping
 from typing import Any
 
 from lfield.bytecode.program import REAL, VOID
@@ -19,7 +20,6 @@ from lfield.vm.memory.layout import (
     FRAME_CALLER,
     FRAME_DEPTH,
     FRAME_RETURN,
-    FRAME_SLOTS,
     W_ENTRIES,
     W_OWNER,
     header,
@@ -29,6 +29,7 @@ from lfield.vm.wasm.lower.graph import Branch, Call, Graph, Instruction, Jump, L
 from lfield.vm.wasm.lower.operands import address_of, filled, image_of, real_constant, reference_to, row_name
 from lfield.vm.wasm.lower.routes import Routes, Switch, Test
 from lfield.vm.wasm.lower.shape import Go, Item, Shape
+from lfield.vm.wasm.lower.slots import slots_of
 from lfield.vm.wasm.lower.table import ROWS, no_room
 from lfield.vm.wasm.lower.traps import INDEX, Traps
 
@@ -45,8 +46,8 @@ class Method:
 
     def __init__(self, prepared: Prepared, index: int, traps: Traps) -> None:
         self.index, self._traps = index, traps
-        #: Which methods have functions that can be called; those that are too tangled have none.
-        self.others: Container[int] = ()
+        #: The methods that have functions that can be called; those that are too tangled have none.
+        self.others: Mapping[int, Method] = {}
         self._prepared = prepared
         self._core = prepared.program.core
         self._method = method = self._core.methods[index]
@@ -56,8 +57,8 @@ class Method:
         self.points = self._routes.numbers
         #: What it copies to the heap, by the name of the segment.
         self.segments: dict[str, bytes] = {}
-        #: The types of its slots, as WebAssembly has them.
-        self.slots = [self._type(t) for t in method.slots]
+        types = [self._type(t) for t in method.slots]
+        self.slots = slots_of(types, method.parameters + 1, long=graph.long)
         self.result = "" if self._kind(method.result) == VOID else self._type(method.result)
         self.words = prepared.layouts.frame_words[index]
 
@@ -81,24 +82,16 @@ class Method:
         return "\n".join([*self._head(), *self._shape.lines(self._node), "unreachable", *self._tail(), ")"])
 
     def _head(self) -> list[str]:
-        count = self._method.parameters + 1
-        slots = [f"(param $s{i} {t})" for i, t in enumerate(self.slots[:count])]
-        others = [f"(local $s{i} {t})" for i, t in enumerate(self.slots[count:], count)]
+        slots = self.slots
         return [
             f";; {self._method.name}",
-            f"(func $m{self.index} (param $frame i32) (param $resume i32) {' '.join(slots)}",
+            f"(func $m{self.index} (param $frame i32) (param $resume i32) {' '.join(slots.parameters)}",
             f"(result {self.result} i32)",
-            " ".join(others),
-            "(local $base i32) (local $left i64) (local $pc i32) (local $status i32) (local $p i32)",
+            " ".join(slots.locals),
+            "(local $base i32) (local $left i64) (local $status i32) (local $p i32)",
             f"(local $x i64) (local $y i64) (local $u f64) (local $value {self.result or 'i64'})",
             "(local.set $base (global.get $base))",
-            "(local.set $left (global.get $left))",
-            "(if (local.get $resume) (then",
-            *(
-                f"(local.set $s{i} ({t}.load offset={self._at(i)} (local.get $frame)))"
-                for i, t in enumerate(self.slots)
-            ),
-            "))",
+            *slots.entered,
             "block $spill",
             "block $exit",
             "block $return",
@@ -112,42 +105,37 @@ class Method:
             (if (i64.eqz (i64.load offset={8 * W_ENTRIES} (local.get $base)))
                 (then (i64.store offset={8 * W_OWNER} (local.get $base) (i64.const 0))))
         """
+        slots = self.slots
         value = "(local.get $value)" if self.result else ""
         as_word = value if self.result != "f64" else f"(i64.reinterpret_f64 {value})"
         return [
             "end ;; return",
             release if self._method.synchronized else "",
-            "(global.set $left (local.get $left))",
+            slots.handed,
+            *slots.returned(self.result),
             f"(if (i64.eqz (i64.load offset={8 * FRAME_CALLER} (local.get $frame))) (then",
             f"(global.set $word {as_word or '(i64.const 0)'})",
-            f"(local.set $status (i32.const {DONE}))",
+            f"(global.set $status (i32.const {DONE}))",
             "(br $exit)))",
             ";; A frame on the top of the heap is given back; another one stays as garbage, and is written.",
             f"(if (i32.eq (i32.add (local.get $frame) (i32.const {8 * self.words})) (global.get $top)) (then",
             "(global.set $top (local.get $frame))",
             f"(return {value} (i32.const {RETURNED}))))",
+            f"(global.set $status (i32.const {RETURNED}))",
             "(br $spill)",
             "end ;; exit",
-            "(global.set $left (local.get $left))",
             "(global.set $frame (local.get $frame))",
-            "(global.set $pc (local.get $pc))",
             "end ;; spill",
-            *(
-                f"({t}.store offset={self._at(i)} (local.get $frame) (local.get $s{i}))"
-                for i, t in enumerate(self.slots)
-            ),
-            f"{value} (local.get $status)",
+            *slots.written,
+            f"{value} (global.get $status)",
         ]
-
-    def _at(self, slot: int) -> int:
-        return 8 * (FRAME_SLOTS + slot)
 
     # --- nodes ----------------------------------------------------------------------------------------
 
     def _node(self, number: int, go: Go) -> list[Item]:
         match self._routes.nodes[number]:
             case Test(switch, on):
-                return ["local.get $resume", "if", *go(switch), "end", *go(on)]
+                return [f"{self.slots.scope}.get $resume", "if", *go(switch), "end", *go(on)]
             case Switch(ways):
                 return list(self._switch(number, ways))
             case run:
@@ -156,18 +144,19 @@ class Method:
     def _switch(self, number: int, ways: dict[int, int]) -> list[str]:
         first, last = min(ways), max(ways)
         labels = [self._shape.label(number, ways[k]) if k in ways else "$no" for k in range(first, last + 1)]
-        where = f"(i32.sub (local.get $resume) (i32.const {first}))"
+        where = f"(i32.sub ({self.slots.scope}.get $resume) (i32.const {first}))"
         return ["block $no", where, f"br_table {' '.join(labels)} $no", "end", "unreachable"]
 
     def _run(self, run: Run, go: Go) -> list[Item]:
         lines: list[Item] = []
+        scope = self.slots.scope
         if run.pc in self.points:
-            lines.append("(local.set $resume (i32.const 0))")
+            lines.append(f"({scope}.set $resume (i32.const 0))")
         cost = run.cost
         if cost:
             lines += [
-                f"(local.set $left (i64.sub (local.get $left) (i64.const {cost})))",
-                *self._leave("(i64.lt_s (local.get $left) (i64.const 0))", run.pc, cost, SHORT),
+                f"({scope}.set $left (i64.sub ({scope}.get $left) (i64.const {cost})))",
+                *self._leave(f"(i64.lt_s ({scope}.get $left) (i64.const 0))", run.pc, cost, SHORT),
             ]
         for done, i in enumerate(run.work):
             lines += self._lowered(i, cost - done)
@@ -179,15 +168,17 @@ class Method:
             case Jump(to):
                 return go(first(to))
             case Branch(slot, yes, no):
-                condition = f"(i64.ne (local.get $s{slot}) (i64.const 0))"
+                condition = f"(i64.ne {self.slots.value(slot)} (i64.const 0))"
                 return [condition, "if", *go(first(yes)), "end", *go(first(no))]
             case Call(what, to):
                 if not self._calls(what):
                     return list(self._gone(what.pc, 1, STEP))
                 return [*self._call(what), *go(first(to))]
             case Return(what):
-                value = f"(local.set $value {self._value(what.quad.a, self.result)})" if self.result else ""
-                return [f"(local.set $pc (i32.const {what.pc}))", value, "br $return"]
+                value = ""
+                if self.result:
+                    value = self.slots.given(self.result, self._value(what.quad.a, self.result))
+                return [f"(global.set $pc (i32.const {what.pc}))", value, "br $return"]
             case Throw(what):
                 thrown = self._value(what.quad.a, "i64")
                 null = self._leave(f"(i64.eqz {thrown})", what.pc, 1)
@@ -198,10 +189,10 @@ class Method:
 
     def _gone(self, pc: int, refund: int, status: int) -> list[str]:
         """Leaves at an instruction; `refund` are those paid for that are not done."""
-        back = f"(local.set $left (i64.add (local.get $left) (i64.const {refund})))" if refund else ""
+        left = f"(i64.add ({self.slots.scope}.get $left) (i64.const {refund}))"
         return [
-            f"(local.set $pc (i32.const {pc})) {back}",
-            f"(local.set $status (i32.const {status}))",
+            f"(global.set $pc (i32.const {pc})) (global.set $left {left})",
+            f"(global.set $status (i32.const {status}))",
             "br $exit",
         ]
 
@@ -213,7 +204,7 @@ class Method:
     def _value(self, operand: int, kind: str) -> str:
         """A source operand of a type of WebAssembly."""
         if operand >= 0:
-            return f"(local.get $s{operand})"
+            return self.slots.value(operand)
         value = self._core.constants[-1 - operand]
         if kind == "f64":
             assert isinstance(value, (int, float))
@@ -240,6 +231,8 @@ class Method:
                 lines += self._index(filled(rest, given), i.pc, refund)
             else:
                 lines.append(filled(line.strip(), given))
+        if "into" in given:
+            lines.append(self.slots.kept(given["into"]))
         return lines
 
     def _null(self, operand: int, i: Instruction, refund: int) -> list[str]:
@@ -281,12 +274,13 @@ class Method:
             slots[str(number)] = pushed
             given[str(number)] = self._value(pushed, "f64" if takes == "real" else "i64")
         if i.into >= 0:
-            given["a"] = f"$s{i.into}"
+            given["a"], given["into"] = self.slots.target(i.into), i.into
         elif i.row.takes is None:
             for letter, operand, value in zip("abc", i.row.operands, i.quad[1:], strict=False):
                 slots[letter] = value
                 if operand.role == "D":
-                    given[letter], given["t"] = f"$s{value}", self.slots[value]
+                    given[letter], given["into"] = self.slots.target(value), value
+                    given["t"] = self.slots.types[value]
                 elif operand.role in "SV":
                     real = operand.kind == "real" or (operand.kind in ("same", "any") and self._is_real(i))
                     given[letter] = self._value(value, "f64" if real else "i64")
@@ -307,7 +301,7 @@ class Method:
                 return self._kind(self._core.classes[types[self._method.slots[a]].of].fields[b].type) == REAL
             case "pute":
                 return self._kind(types[self._method.slots[a]].of) == REAL
-        return self.slots[a] == "f64"
+        return self.slots.types[a] == "f64"
 
     def _made(self, i: Instruction) -> dict[str, str]:
         """Of instructions that make things: their size, and how they are written at $p."""
@@ -332,15 +326,16 @@ class Method:
 
     def _call(self, i: Instruction) -> list[str]:
         """A frame on the top of the heap, and the callee's function on it."""
-        callee = self._core.methods[i.quad.a]
+        callee = self.others[i.quad.a].slots
         size = 8 * self._prepared.layouts.frame_words[i.quad.a]
         head = header(FRAME, i.quad.a, size // 8)
         back = i.after - (i.into >= 0)
-        types = [self._type(t) for t in callee.slots]
-        arguments = " ".join(self._value(o, t) for o, t in zip(i.arguments, types, strict=False))
-        result = ""
+        values = [self._value(o, t) for o, t in zip(i.arguments, callee.types, strict=False)]
+        stores, arguments = callee.passed(values)
+        result = kept = ""
         if i.into >= 0:
-            result = "$u" if self.slots[i.into] == "f64" else "$x"
+            result = "$u" if self.slots.types[i.into] == "f64" else "$x"
+            kept = f"(local.set {self.slots.target(i.into)} (local.get {result})) {self.slots.kept(i.into)}"
         return [
             *self._null(i.arguments[0], i, 1),
             f"(local.set $x (i64.add (i64.load offset={8 * FRAME_DEPTH} (local.get $frame)) (i64.const 1)))",
@@ -352,11 +347,12 @@ class Method:
             f"(i64.store offset={8 * FRAME_CALLER} (local.get $p) {reference_to('$frame')})",
             f"(i64.store offset={8 * FRAME_RETURN} (local.get $p) (i64.const {back}))",
             f"(i64.store offset={8 * FRAME_DEPTH} (local.get $p) (local.get $x))",
-            "(global.set $left (local.get $left))",
-            f"(call $m{i.quad.a} (local.get $p) (i32.const 0) {arguments})",
+            *stores,
+            self.slots.handed,
+            f"(call $m{i.quad.a} (local.get $p) (i32.const 0) {' '.join(arguments)})",
             "local.set $status",
             f"local.set {result}" if result else "",
             "(br_if $spill (local.get $status))",
-            "(local.set $left (global.get $left))",
-            f"(local.set $s{i.into} (local.get {result}))" if result else "",
+            self.slots.taken,
+            kept,
         ]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 from lfield.bytecode.program import Program
@@ -16,26 +17,28 @@ from lfield.vm.wasm.lower.traps import Traps
 
 #: The size of WebAssembly's own stack, in bytes.
 STACK = 1 << 20
+#: The longest text of a function: it has two characters at least for each of the 7,654,321 bytes allowed.
+LONGEST = 15_000_000
 #: Where its tables begin, behind the registers.
 TABLES = 1024
 
 
 @dataclass(frozen=True, slots=True)
 class Module:
-    """The text, and the point of each instruction that has one."""
+    """The text, the point of each instruction that has one, and the methods that are not in it, with why."""
 
     text: str
     points: dict[int, int]
+    left: dict[str, str]
 
 
 def module(prepared: Prepared) -> Module:
     """The module of a program."""
     traps = Traps(prepared)
     count = len(prepared.program.core.methods)
-    methods = {i: m for i in range(count) if (m := _method(prepared, i, traps))}
-    for method in methods.values():
-        method.others = methods.keys()
-    functions = [m.text() for m in methods.values()]
+    left: dict[int, str] = {}
+    methods = _methods(prepared, traps, left)
+    functions = _functions(methods, left)
     points = {pc: number for m in methods.values() for pc, number in m.points.items()}
     tables = Tables(prepared.program, TABLES)
     segments = {name: data for m in methods.values() for name, data in m.segments.items()}
@@ -55,14 +58,15 @@ def module(prepared: Prepared) -> Module:
         f"(table {count} funcref)",
         f"(elem (i32.const 0) func {' '.join(f'$e{i}' if i in methods else '$none' for i in range(count))})",
         "(func $none (type $entry) unreachable)",
-        *(_entry(m, prepared) for m in methods.values()),
+        *(_entry(m) for m in methods.values()),
         *functions,
         traps.text(),
         maths_text(name for name in MATHS if any(f" {maths_name(name)} " in text for text in functions)),
-        driver(_deepest(prepared), tables, catches=not prepared.program.has_limits),
+        driver(_deepest(methods.values()), tables, catches=not prepared.program.has_limits),
         ")",
     ]
-    return Module("\n".join(line for line in lines if line) + "\n", points)
+    text = "\n".join(line for line in lines if line) + "\n"
+    return Module(text, points, {prepared.program.method_name(i): why for i, why in left.items()})
 
 
 def low_bytes(program: Program) -> int:
@@ -70,16 +74,34 @@ def low_bytes(program: Program) -> int:
     return Tables(program, TABLES).end
 
 
-def _method(prepared: Prepared, index: int, traps: Traps) -> Method | None:
-    try:
-        return Method(prepared, index, traps)
-    except Irreducible:
-        return None
+def _methods(prepared: Prepared, traps: Traps, left: dict[int, str]) -> dict[int, Method]:
+    """The methods that can be lowered, by number; the others are `left`."""
+    methods = {}
+    for index in range(len(prepared.program.core.methods)):
+        try:
+            methods[index] = Method(prepared, index, traps)
+        except Irreducible:
+            left[index] = "control enters a loop of it at two places, which WebAssembly has not"
+    return methods
 
 
-def _deepest(prepared: Prepared) -> int:
+def _functions(methods: dict[int, Method], left: dict[int, str]) -> list[str]:
+    """Their texts; a method whose text is too long is `left` as well, and nobody's function calls it."""
+    for method in methods.values():
+        method.others = methods
+    texts = {i: m.text() for i, m in methods.items()}
+    long = {i: "its code is too long for WebAssembly" for i, text in texts.items() if len(text) > LONGEST}
+    if not long:
+        return list(texts.values())
+    left |= long
+    for index in long:
+        del methods[index]
+    return _functions(methods, left)
+
+
+def _deepest(methods: Iterable[Method]) -> int:
     """How many calls fit WebAssembly's own stack; deeper ones begin a new one from the driver."""
-    slots = max((len(m.slots) for m in prepared.program.core.methods), default=1)
+    slots = max((m.slots.stacked for m in methods), default=1)
     return STACK // 2 // (256 + 24 * slots)
 
 
@@ -89,10 +111,9 @@ def _strings(data: bytes) -> str:
     return "\n".join(f'"{piece}"' for piece in pieces)
 
 
-def _entry(m: Method, prepared: Prepared) -> str:
+def _entry(m: Method) -> str:
     """How the driver calls a method's function: without arguments, its result as a word."""
-    parameters = prepared.program.core.methods[m.index].parameters + 1
-    nothing = " ".join(f"({t}.const 0)" for t in m.slots[:parameters])
+    nothing = " ".join(m.slots.nothing)
     lines = [
         f"(func $e{m.index} (type $entry) (local $status i32)",
         f"(call $m{m.index} (local.get 0) (local.get 1) {nothing})",

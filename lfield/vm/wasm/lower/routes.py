@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from lfield.vm.wasm.lower.flow import dominates, dominators, predecessors, reverse_postorder
+from lfield.vm.wasm.lower.flow import domination, dominators, predecessors, reverse_postorder
 from lfield.vm.wasm.lower.graph import Branch, Call, Graph, Jump, Run
 
 
@@ -45,8 +45,9 @@ class Routes:
         self._graph = graph
         order = reverse_postorder(graph.entry, graph.leads_to)
         before = predecessors(order, graph.leads_to)
-        self._above = dominators(order, before)
-        points = [pc for pc in order if pc in graph.points]
+        self._dominates = domination(order, dominators(order, before))
+        # In the order of the code: those of a loop have numbers one after another, its switch has no gaps.
+        points = [pc for pc in sorted(order) if pc in graph.points]
         self.numbers = {pc: i for i, pc in enumerate(points, 1)}
         loops = self._loops(order, before)
         #: By header: the node of its test, for loops that have one.
@@ -62,7 +63,7 @@ class Routes:
             back = [pc for pc in before[header] if place[pc] >= place[header]]
             if not back:
                 continue
-            if not all(dominates(self._above, header, pc) for pc in back):
+            if not all(self._dominates(header, pc) for pc in back):
                 raise Irreducible
             body = loops.setdefault(header, {header})
             pending = back
@@ -74,7 +75,10 @@ class Routes:
         return loops
 
     def _route(self, points: list[int], loops: dict[int, set[int]]) -> None:
-        around = {pc: [header for header, body in loops.items() if pc in body] for pc in points}
+        around: dict[int, list[int]] = {pc: [] for pc in points}
+        for header, body in loops.items():
+            for pc in body & around.keys():
+                around[pc].append(header)
         tested = {header for pc, headers in around.items() for header in headers if header != pc}
         # The root's are the nodes -1 and -2; those of a loop follow.
         self._tests = {header: -3 - 2 * i for i, header in enumerate(h for h in loops if h in tested)}

@@ -1,0 +1,143 @@
+"""Long methods: making their code grows with their length, and what WebAssembly refuses is one method."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Callable
+
+import pytest
+
+from lfield.clock import ManualClock
+from lfield.testing.engines import NEEDED
+from lfield.testing.golden import Desk, compile_text, settle, team_for
+from lfield.vm.contract import Engines, Limits
+from lfield.vm.machine import Machine
+from lfield.vm.reference import Engine as Reference
+from lfield.vm.reference.prepare import Prepared
+
+wasmtime = pytest.importorskip("wasmtime", reason=NEEDED)
+
+from lfield.vm.wasm.engine import Eager as Engine  # noqa: E402
+from lfield.vm.wasm.lower import graph  # noqa: E402
+from lfield.vm.wasm.lower import module as lowering  # noqa: E402
+from lfield.vm.wasm.lower.slots import PARAMETERS  # noqa: E402
+
+#: Bodies of a method that are so many times as long.
+SHAPES: dict[str, Callable[[int], str]] = {
+    "sums": lambda n: "".join(f"k = k * 3 % 1000 + {i};" for i in range(n)),
+    "calls": lambda n: "k = h(k);" * n,
+    "else if": lambda n: " else ".join(f"if (k == {i}) k = {i + 1};" for i in range(n)),
+    "and": lambda n: f"if ({' && '.join(f'k != {i + 5}' for i in range(n))}) return 2;",
+    "strings": lambda n: 'string s = "";' + "".join(f's = "{"x" * 120}{i}";' for i in range(n)),
+    "loops": lambda n: "".join(f"while (k < {i}) k = h(k) + 1;" for i in range(n)),
+    "tries": lambda n: "try { k = h(k); } catch (IndexException e) { k = 2; }" * n,
+    "finallies": lambda n: "try { k = h(k); } finally { k = k + 2; }" * n,
+    "slots": lambda n: (
+        "".join(f"int a{i} = h(k);" for i in range(n)) + "".join(f"k = k + a{i};" for i in range(n))
+    ),
+    "arrays": lambda n: "int[] b = null;" + "b = new int[2]; b[0] = k; k = b[1];" * n,
+    "returns": lambda n: "".join(f"if (k == {i + 9}) return {i};" for i in range(n)),
+}  # fmt: skip
+
+
+def _program(body: str, more: str = "") -> str:
+    return f"""
+        resource R {{
+          init(string[] arg) {{ print(f(3)); }}
+          private int f(int k) {{ {body} return k; }}
+          private int h(int k) {{ return k; }}
+          {more}
+        }}
+    """
+
+
+def _prepared(text: str) -> Prepared:
+    return Reference(compile_text(text), float).prepared
+
+
+def _run(text: str, engines: Engines) -> tuple[list[str], list[bytes]]:
+    """What is printed, and the blocks at the end."""
+    program, desk, clock = compile_text(text), Desk(), ManualClock()
+    members = team_for(program, [])
+    machine = desk.machine = Machine(program, members, 0, 1, desk, clock, random.Random(1), engines=engines)
+    for member in members:
+        machine.start(member, Limits(), 1)
+    settle(machine, clock)
+    assert [agent.report for agent in desk.endings if agent.ended == "died"] == []
+    return desk.output, [bytes(agent.block.image()) for agent in machine.agents.values()]
+
+
+def _joined(text: str) -> int:
+    """What costs the compiler the square: locals for slots, times where a function is left and entered."""
+    functions = text.split("\n(func ")
+    return max(
+        f.count("(local $s") * (f.count("br $exit") + f.count("(local.set $resume")) for f in functions
+    )
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_code_that_is_ten_times_as_long_takes_ten_times_as_long(shape, steps):
+    short, long = (_prepared(_program(SHAPES[shape](n))) for n in (60, 600))
+    texts = []
+    few, many = (steps(lambda p=p: texts.append(lowering.module(p).text)) for p in (short, long))
+    assert many < 12 * few
+    assert len(texts[1]) < 15 * len(texts[0])
+    assert _joined(texts[1]) < 20_000
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_a_long_method_does_the_same(shape, monkeypatch):
+    text = _program(SHAPES[shape](40))
+    expected = _run(text, Reference)
+    assert _run(text, Engine) == expected
+    monkeypatch.setattr(graph, "LONG", 0)
+    monkeypatch.setattr(graph, "STRETCH", 5)
+    from lfield.vm.wasm import code
+
+    code._recent.clear()
+    assert _run(text, Engine) == expected
+    code._recent.clear()
+
+
+def test_no_way_through_a_long_method_has_few_points() -> None:
+    """An `else if` after another is a single way through all tests, and each body a way out of it."""
+    prepared = _prepared(_program(SHAPES["else if"](600)))
+    method = next(m for m in prepared.program.core.methods if m.name == "f")
+    points = graph.Graph(prepared, method, lambda i: True).points
+    assert len(points) > 2 * 600 // graph.STRETCH
+
+
+@pytest.mark.parametrize("count", [PARAMETERS - 1, PARAMETERS, PARAMETERS + 200])
+def test_parameters_beyond_those_of_webassembly_are_in_the_frame(count: int) -> None:
+    takes = ", ".join(f"int p{i}" for i in range(count))
+    more = f"private int g({takes}) {{ return p0 + p{count - 1}; }}"
+    text = _program(f"k = g({', '.join(['k'] * count)});", more)
+    assert _run(text, Engine) == _run(text, Reference)
+
+
+def test_a_method_too_long_for_webassembly_is_left_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    from lfield.vm.wasm import code
+
+    text = _program("k = g(k);", f"private int g(int k) {{ {SHAPES['sums'](400)} return k; }}")
+    expected = _run(text, Reference)
+    code._recent.clear()
+    monkeypatch.setattr(lowering, "LONGEST", 200_000)
+    notes: list[str] = []
+    assert _run(text, lambda program, now: Engine(program, now, note=notes.append)) == expected
+    assert notes == ["the reference engine runs R.g: its code is too long for WebAssembly"]
+    code._recent.clear()
+
+
+def test_many_slots_are_no_locals() -> None:
+    text = _program("".join(f"int a{i} = k;" for i in range(3000)) + "k = a2999;")
+    assert "(local $s2000 " not in lowering.module(_prepared(text)).text
+    assert _run(text, Engine) == _run(text, Reference)
+
+
+def test_an_agent_outside_the_arena_is_told_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("lfield.vm.wasm.heaps.Heaps.base", lambda self, data: -1)
+    notes: list[str] = []
+    text = _program("for (int i = 0; i < 50000; i = i + 1) k = h(i);")
+    assert _run(text, lambda program, now: Engine(program, now, note=notes.append)) == _run(text, Reference)
+    assert len(notes) == 1
+    assert notes[0].startswith("r is run by the reference engine, slowly: its block of 0.0 MiB does not fit")
