@@ -216,7 +216,8 @@ class StopSeen:
 
     `hosts` are those where it stands. `confirmed` and `unconfirmed` are their devices, the latter with the
     reason; `unreached` are hosts that should have stopped and of which nobody knows it, with the reason.
-    `before` are hosts that are not heard and had stopped when they were, with what was safe then.
+    `asked` are hosts that have not answered the press from here yet, whatever else they have said. `before`
+    are hosts that are not heard and had stopped when they were, with what was safe then.
     """
 
     reason: str = ""
@@ -226,6 +227,7 @@ class StopSeen:
     confirmed: tuple[str, ...] = ()
     unconfirmed: Mapping[str, str] = field(default_factory=dict)
     unreached: Mapping[str, str] = field(default_factory=dict)
+    asked: tuple[str, ...] = ()
     before: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
     @property
@@ -236,7 +238,7 @@ class StopSeen:
     @property
     def complete(self) -> bool:
         """Whether every device of every host of the team is seen to be safe."""
-        return self.stands and not (self.unconfirmed or self.unreached or self.before)
+        return self.stands and not (self.unconfirmed or self.unreached or self.asked or self.before)
 
 
 @dataclass(frozen=True, slots=True)

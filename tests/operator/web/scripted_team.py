@@ -28,6 +28,7 @@ from lfield.operator.sight.seen import (
     Local,
     LogLine,
     OfferSeen,
+    OrderSeen,
     Reading,
     Seen,
     StopSeen,
@@ -49,6 +50,8 @@ class Script:
     dead: set[str] = field(default_factory=set)
     unplaced: set[str] = field(default_factory=set)
     stubborn: set[str] = field(default_factory=set)
+    #: Hosts that hang: they are linked, and answer nothing.
+    hung: set[str] = field(default_factory=set)
     barred: dict[Order, str] = field(default_factory=dict)
     stopped: float | None = None
     paused: bool = False
@@ -70,6 +73,8 @@ class Script:
             case ["kill", host]:
                 self.dead.add(host)
                 self.frozen[host] = self.now()
+            case ["hang", host]:
+                self.hung.add(host)
             case ["unplace", agent]:
                 self.unplaced.add(agent)
             case ["stubborn", agent]:
@@ -101,10 +106,10 @@ class Script:
         """The hosts that hear it."""
         names = [self.host_of(number) for number in range(self.count)]
         number = self.presses.ordered(order, names, self.now())
-        for name in names:
+        for name in set(names) - self.hung:
             nobody = AddressError(f"{name}:8181", "nobody listens there")
             self.presses.answered(number, name, nobody if name in self.dead else EmergencyStopped({}))
-        return set(names) - self.dead
+        return set(names) - self.dead - self.hung
 
     async def lift(self) -> Ordered:
         self.held -= self.order("lift")
@@ -233,6 +238,7 @@ class Script:
         )
         if int(seconds) > len([line for line in self.lines if line.agent]):
             self.say(at[0], f"at {vehicles[self.agent_of(hop % self.count)].height:.1f} m", "pilot")
+        orders = self.presses.seen(self.now(), hosts, {})
         return Seen(
             "mission",
             self.revision,
@@ -245,18 +251,21 @@ class Script:
                 )
                 for name, v in vehicles.items()
             },
-            self.stop_seen(vehicles, hosts),
+            self.stop_seen(vehicles, hosts, orders),
             tuple(self.lines),
-            self.presses.seen(self.now(), hosts, {}),
+            orders,
         )
 
-    def stop_seen(self, vehicles: dict[str, VehicleSeen], hosts: dict[str, HostSeen]) -> StopSeen:
+    def stop_seen(
+        self, vehicles: dict[str, VehicleSeen], hosts: dict[str, HostSeen], orders: tuple[OrderSeen, ...]
+    ) -> StopSeen:
         if self.stopped is None:
             return StopSeen()
         devices = [
             device for vehicle in vehicles.values() for device in vehicle.devices if device.host in self.held
         ]
         seen = [device for device in devices if device.fresh]
+        asked = next((order.asked for order in orders if order.order == "stop"), ())
         return StopSeen(
             "the emergency stop was pressed on the page",
             "anna",
@@ -265,6 +274,7 @@ class Script:
             tuple(device.name for device in seen if device.confirmed),
             {device.name: "it has not answered" for device in seen if not device.confirmed},
             {name: host.trouble for name, host in hosts.items() if not host.linked and not host.stopped},
+            asked,
             {device.host: (device.name,) for device in devices if not device.fresh},
         )
 

@@ -68,6 +68,18 @@ def test_stop_is_one_press_and_tells_who_has_confirmed(browser, page_of):
     browser.wait(lambda: browser.text("place-lead") != first)
 
 
+def test_no_stop_is_complete_while_a_host_has_not_answered(browser, page_of):
+    page = page_of()
+    page.do("hang bravo")
+    browser.open(page.link)
+    browser.thing("stop").click()
+    browser.says("asked-bravo", "bravo is asked, and has not answered yet")
+    browser.says("confirmed-lead.fc", "safe, at rest")
+    assert "Stopped: 1 not confirmed" in browser.text("halt")
+    assert "every device" not in browser.text("halt")
+    assert "bravo asked, no answer yet" in browser.text("state")
+
+
 def test_lifting_and_resuming_ask_once_more(browser, page_of):
     page = page_of()
     browser.open(page.link)

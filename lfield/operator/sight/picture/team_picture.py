@@ -320,6 +320,7 @@ class Picture:
             tuple(confirmed),
             unconfirmed,
             unreached,
+            asked,
             before,
         )
 

@@ -145,9 +145,10 @@ export default {
       if (!this.look) return "";
       const linked = this.look.hosts.filter((host) => host.linked).length;
       const said = [`${linked} of ${this.look.hosts.length} hosts linked`];
-      const { hosts, unreached } = this.look.stop;
+      const { hosts, unreached, asked } = this.look.stop;
       const missing = Object.keys(unreached);
-      if (hosts.length) said.push(hosts.length === linked ? "STOPPED" : `STOPPED at ${hosts.join(", ")}`);
+      if (hosts.length) said.push(hosts.length === linked && !asked.length ? "STOPPED" : `STOPPED at ${hosts.join(", ")}`);
+      if (asked.length) said.push(`STOP: ${asked.join(", ")} asked, no answer yet`);
       if (missing.length) said.push(`STOP has NOT REACHED ${missing.join(", ")}`);
       if (this.look.paused.length) said.push(`paused at ${this.look.paused.join(", ")}`);
       if (this.stale) said.push(`last look ${words.age((this.now - this.taken) / 1000)} ago`);
