@@ -15,6 +15,7 @@ import msgspec
 
 from lfield.operator.sight.actions import Order
 from lfield.operator.sight.seen import Curve, LogLine, Seen, Sight, VehicleSeen
+from lfield.operator.web.late import PROMPT
 
 #: Seconds between two looks, at least, however many browsers ask; one asks five times a second (server.js).
 EVERY = 0.05
@@ -40,6 +41,7 @@ def team(seen: Seen, barred: Mapping[Order, str], tiles: Mapping[str, Any] | Non
             "paused": seen.paused,
             "barred": barred,
             "tiles": tiles,
+            "prompt": PROMPT,
         }
     )
 
@@ -83,12 +85,16 @@ class Looks:
     _at: float = 0.0
 
     def look(self, after: int) -> bytes:
-        """What a browser gets that has the log until that number: `{"team": {...}, "log": [...]}`."""
+        """What a browser gets that has the log until that number: `{"at": s, "look": {...}, "log": [...]}`.
+
+        `at` is when the look was made, by `now`.
+        """
         now = self.now()
         if self._seen is None or now - self._at >= EVERY:
             self._seen, self._at = self.sight.seen(), now
             self._team = team(self._seen, self.barred(), self.tiles)
-        return b'{"look":%b,"log":%b}' % (self._team, lines(self._seen.log, after))
+        log = lines(self._seen.log, after)
+        return b'{"at":%b,"look":%b,"log":%b}' % (msgspec.json.encode(self._at), self._team, log)
 
     def plots(self) -> bytes:
         """What its plots show."""

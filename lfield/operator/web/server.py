@@ -27,6 +27,7 @@ from lfield.operator.web.answers import answered, ordered
 from lfield.operator.web.callers import Callers
 from lfield.operator.web.door import Door
 from lfield.operator.web.gate import Gate
+from lfield.operator.web.late import refusal, told
 from lfield.operator.web.look import Looks
 from lfield.operator.web.page import page
 from lfield.operator.web.site import Site
@@ -36,6 +37,8 @@ from lfield.operator.web.tiles import Tiles
 REASON = "on the page of lfield watch"
 #: The longest body of a request, in bytes: the longest question has 4000 characters.
 _MOST_BYTES = 20_000
+#: Seconds for which a connection of a browser is kept on which nothing is asked.
+_IDLE = 3600
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,6 +80,9 @@ async def serve(served: Served, site: Site, tell: Callable[[str], None]) -> None
         proxy_headers=False,
         access_log=False,
         lifespan="on",
+        # A process that did not run for a while looks at its timers first: a connection that it gave up so soon
+        # would take the press with it that has come there meanwhile.
+        timeout_keep_alive=_IDLE,
         # Pages that are open are not waited for.
         timeout_graceful_shutdown=1,
     )
@@ -133,10 +139,13 @@ def _add_routes(app: FastAPI, served: Served) -> None:
 
     @app.post("/act")
     async def act(request: Request) -> Response:
-        asked = (await _said(request)).get("action")
-        does = _buttons(served.actions).get(str(asked))
+        said = await _said(request)
+        asked, pressed, now = said.get("action"), said.get("pressed"), served.clock.monotonic()
+        does = _buttons(served.actions, told(REASON, pressed, now)).get(str(asked))
         if does is None:
             return _refused("there is no such button")
+        if why := refusal(asked, pressed, now):
+            return _refused(why, 409)
         # Hosts would say the same; whoever has no button need not ask them.
         for order, why in served.actions.barred.items():
             if order == asked:
@@ -158,10 +167,10 @@ def _add_routes(app: FastAPI, served: Served) -> None:
         return Response(found.data, media_type=found.kind, headers={"Cache-Control": "max-age=3600"})
 
 
-def _buttons(actions: Actions) -> Mapping[str, Callable[[], Awaitable[Ordered]]]:
-    """What each of them does."""
+def _buttons(actions: Actions, reason: str) -> Mapping[str, Callable[[], Awaitable[Ordered]]]:
+    """What each of them does; the reason is that of a stop."""
     return {
-        "stop": lambda: actions.stop(REASON),
+        "stop": lambda: actions.stop(reason),
         "lift": actions.lift,
         "pause": actions.pause,
         "resume": actions.resume,

@@ -191,6 +191,44 @@ def test_a_press_shows_at_once_on_a_server_that_does_not_answer(browser, page_of
     browser.wait(lambda: not browser.all("failed") and not browser.all("asking-stop"))
 
 
+def test_a_stop_that_the_page_has_given_up_is_done_late_and_says_so(browser, page_of):
+    page = page_of()
+    browser.open(page.link)
+    page.line()
+    os.kill(page.process.pid, signal.SIGSTOP)
+    try:
+        browser.thing("stop").click()
+        browser.says("failed", "STOP has perhaps not been done")
+    finally:
+        os.kill(page.process.pid, signal.SIGCONT)
+    assert page.line() == "pressed stop"
+    browser.says("halt", "s late")
+    browser.wait(lambda: not browser.all("failed"))
+
+
+@pytest.mark.parametrize("order", ["lift", "resume"])
+def test_what_releases_is_not_done_once_the_page_has_given_it_up(browser, page_of, order):
+    page = page_of()
+    browser.open(page.link)
+    page.line()
+    browser.thing("stop").click()
+    assert page.line() == "pressed stop"
+    browser.wait(lambda: browser.thing("lift").is_enabled())
+    os.kill(page.process.pid, signal.SIGSTOP)
+    try:
+        browser.thing(order).click()
+        browser.thing("yes").click()
+        browser.says("failed", "has perhaps not been done")
+    finally:
+        os.kill(page.process.pid, signal.SIGCONT)
+    browser.says("failed", "has not been done: it did not reach the server in time; look, and press it again")
+    browser.says("halt", "Stopped")
+    browser.thing(order).click()
+    browser.thing("yes").click()
+    assert page.line() == f"pressed {order}", "the first that is done"
+    browser.wait(lambda: not browser.all("failed"))
+
+
 def test_stopped_and_paused_at_once_is_told_as_both(browser, page_of):
     page = page_of()
     browser.open(page.link)

@@ -11,6 +11,9 @@ const QUESTIONS = {
   resume: "Resume the mission? Agents go on, and vehicles may move.",
 };
 
+// What lets vehicles move again: late, it is refused (late.py).
+const RELEASES = ["lift", "resume"];
+
 // What undoes one another.
 const PAIRS = [["stop", "lift"], ["pause", "resume"]];
 const pairOf = (order) => PAIRS.find((pair) => pair.includes(order));
@@ -123,7 +126,7 @@ export default {
     </dialog>
   </div>`,
   data: () => ({
-    look: null, log: [], taken: 0, now: 0, trouble: "", pending: {}, failures: {}, selected: "",
+    look: null, log: [], at: null, taken: 0, now: 0, trouble: "", pending: {}, failures: {}, selected: "",
     asked: "", asking: false, answer: null, sure: "",
   }),
   computed: {
@@ -196,11 +199,12 @@ export default {
       if (host.clock !== null && Math.abs(host.clock) > 1) parts.push(`its clock is ${words.age(Math.abs(host.clock))} ${host.clock > 0 ? "ahead" : "behind"}`);
       return parts.join(" · ");
     },
-    take({ look, log }) {
+    take({ at, look, log }) {
       // NiceGUI's own connection would load the page anew where it times out, and what was known last, and STOP,
       // would be gone. Nothing here needs it.
       window.socket?.disconnect();
       this.look = look;
+      this.at = at;
       this.taken = this.now = performance.now();
       this.trouble = "";
       this.known();
@@ -217,13 +221,14 @@ export default {
     },
     async press(order) {
       const press = { since: performance.now(), after: this.newest([...PAIRS.flat()]) };
+      const pressed = this.at === null ? null : this.at + (press.since - this.taken) / 1000;
       this.now = press.since;
       this.pending = { ...this.pending, [order]: press };
       this.failures = without(this.failures, pairOf(order));
       try {
-        await act(order);
+        await act(order, pressed);
       } catch (error) {
-        this.failures = { ...this.failures, [order]: { why: error.message, refused: error.refused, after: press.after } };
+        this.failures = { ...this.failures, [order]: { why: error.message, refused: error.refused, after: press.after, pressed } };
         this.known();
       }
       if (this.pending[order]?.since === press.since) this.pending = without(this.pending, [order]);
@@ -233,10 +238,17 @@ export default {
       const numbers = this.look?.orders.filter((order) => kinds.includes(order.order)).map((order) => order.number) ?? [];
       return Math.max(0, ...numbers);
     },
-    // Of what the server has heard of all the same, the look says what came.
+    // Of what the server has heard of all the same, the look says what came; what it has not heard of in time it
+    // refuses.
     known() {
       const heard = Object.entries(this.failures).filter(([order, failure]) => this.newest(pairOf(order)) > failure.after);
       if (heard.length) this.failures = without(this.failures, heard.map(([order]) => order));
+      for (const order of RELEASES) {
+        const failure = this.failures[order];
+        if (!failure || failure.refused || failure.pressed === null || this.at <= failure.pressed + this.look.prompt) continue;
+        const why = "it did not reach the server in time; look, and press it again";
+        this.failures = { ...this.failures, [order]: { ...failure, why, refused: true } };
+      }
     },
     confirm(order) {
       this.sure = order;
