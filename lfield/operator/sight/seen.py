@@ -157,8 +157,9 @@ class AgentSeen:
 
     `state` is a word for what it does, `file` and `line` are where in its program it stands (0: not told),
     `waits` is the portal or instruction that it waits for. `finished` is how it ended: '', done, died, lost,
-    superseded, with the `detail`. `doubt` is why nobody knows whether it lives. `hops` counts all, `trail`
-    are the last, the newest last.
+    superseded, with the `detail`. `doubt` is why nobody knows whether it lives. `hops` counts all, None for
+    one that has ended before anybody looked, while its last host tells nothing; `trail` are the last, the
+    newest last.
     """
 
     agent: str
@@ -168,7 +169,7 @@ class AgentSeen:
     fresh: bool
     age: float | None = None
     generation: int = 0
-    hops: int = 0
+    hops: int | None = 0
     served: int = 0
     to: str = ""
     state: str = ""
@@ -197,9 +198,11 @@ class OfferSeen:
 
 
 class LogLine(NamedTuple):
-    """A line of a host's log; `agent` is who said it, '' for the host itself. `at` is the host's clock.
+    """A line of a host's log; `agent` is who said it, '' for the host itself.
 
-    `serial` counts the lines of this picture from 1, so that only new ones need be drawn.
+    `at` is when that was by the clock of this computer (s since 1970), as well as it knows that of the host:
+    one time line for all. `serial` counts the lines of this picture from 1 in the order in which they came,
+    so that only new ones need be drawn. Within a host both orders are the same.
     """
 
     serial: int

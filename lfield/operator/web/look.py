@@ -14,13 +14,14 @@ from typing import Any
 import msgspec
 
 from lfield.operator.sight.actions import Order
+from lfield.operator.sight.picture.loglines import MOST_LINES
 from lfield.operator.sight.seen import Curve, LogLine, Seen, Sight, VehicleSeen
 from lfield.operator.web.late import PROMPT
 
 #: Seconds between two looks, at least, however many browsers ask; one asks five times a second (server.js).
 EVERY = 0.05
-#: So many lines of the log a page gets at once, the newest: it keeps no more.
-LINES = 400
+#: So many lines of the log a page gets at once, the newest, and keeps (log.js).
+LINES = MOST_LINES
 #: So many points a curve of a plot has at most.
 POINTS = 150
 
@@ -42,6 +43,7 @@ def team(seen: Seen, barred: Mapping[Order, str], tiles: Mapping[str, Any] | Non
             "barred": barred,
             "tiles": tiles,
             "prompt": PROMPT,
+            "lines": LINES,
         }
     )
 

@@ -80,7 +80,7 @@ async def serve(served: Served, site: Site, tell: Callable[[str], None]) -> None
         proxy_headers=False,
         access_log=False,
         lifespan="on",
-        # A process that did not run for a while looks at its timers first: a connection that it gave up so soon
+        # A process that did not run for a while looks at its timers first: a connection that it gave up then
         # would take the press with it that has come there meanwhile.
         timeout_keep_alive=_IDLE,
         # Pages that are open are not waited for.

@@ -11,12 +11,13 @@ import math
 import sys
 import threading
 import time
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from lfield.clock import SystemClock
 from lfield.errors import AddressError
 from lfield.operator.sight.actions import Answer, Order, Ordered
+from lfield.operator.sight.picture.curves import Curves
 from lfield.operator.sight.picture.presses import Presses
 from lfield.operator.sight.seen import (
     AgentSeen,
@@ -61,6 +62,7 @@ class Script:
         self.began = self.now()
         self.presses = Presses()
         self.held: set[str] = set()
+        self.reason = "the emergency stop was pressed"
         self.low: set[str] = set()
         self.frozen = {}
         self.lines: list[LogLine] = []
@@ -96,6 +98,7 @@ class Script:
     # --- Actions ------------------------------------------------------------------------------------------
 
     async def stop(self, reason: str = "") -> Ordered:
+        self.reason = f"the emergency stop was pressed: {reason}"
         self.stopped = self.now()
         self.held |= self.order("stop")
         self.pressed.append("stop")
@@ -267,7 +270,7 @@ class Script:
         seen = [device for device in devices if device.fresh]
         asked = next((order.asked for order in orders if order.order == "stop"), ())
         return StopSeen(
-            "the emergency stop was pressed on the page",
+            self.reason,
             "anna",
             self.now() - self.stopped,
             tuple(name for name, host in hosts.items() if host.stopped and host.linked),
@@ -279,29 +282,21 @@ class Script:
         )
 
     def curves(self) -> tuple[Curve, ...]:
-        seconds = self.now() - self.began
-        times = [-600 + 5 * n for n in range(121) if -600 + 5 * n >= -seconds - 300]
-        made = []
-        for number in range(self.count):
-            agent = self.agent_of(number)
-            heights = [] if agent in self.low else made
-            heights.append(
-                Curve(
-                    "height", agent, tuple((t, 3 + number % 7 + math.sin((seconds + t) / 9)) for t in times)
+        """Of the last five minutes, as the product has them."""
+        now, curves = self.now(), Curves()
+        for ago in range(300, -1, -5):
+            seconds = now - self.began - ago
+            vehicles = {}
+            for number in range(self.count):
+                vehicle = self.vehicle(number)
+                vehicles[vehicle.agent] = replace(
+                    vehicle,
+                    height=None if vehicle.agent in self.low else 3 + number % 7 + math.sin(seconds / 9),
+                    battery=0.6 - 0.0005 * seconds - 0.01 * number,
+                    link=0.1 + 0.1 * abs(math.sin(seconds * (number + 1))),
                 )
-            )
-            made.append(
-                Curve(
-                    "battery",
-                    agent,
-                    tuple((t, 0.9 - 0.0005 * (seconds + t + 600) - 0.01 * number) for t in times),
-                )
-            )
-            made.append(
-                Curve("link", agent, tuple((t, 0.1 + 0.1 * abs(math.sin(t * (number + 1)))) for t in times))
-            )
-        made.append(Curve("hops", "pilot", tuple((t, 30 + 4 * math.sin(t / 20)) for t in times)))
-        return tuple(made)
+            curves.add(now - ago, vehicles, {"pilot": 30 + 4 * math.sin(seconds / 20)})
+        return curves.seen(now)
 
 
 async def main() -> None:

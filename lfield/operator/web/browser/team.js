@@ -1,10 +1,9 @@
 // The whole page: STOP and the other buttons, what stands of a stop, map, vehicles, coordinators, hosts, log,
 // questions, plots. It draws the last look, and says so when that is old.
-import { Halt, Plots, TeamMap, act, ask, looks, words } from "lfield-watch";
+import { Halt, Plots, TeamLog, TeamMap, act, ask, looks, words } from "lfield-watch";
 
 // Looks that are older than this, in milliseconds, are told to be old.
 const OLD = 2000;
-const LINES_KEPT = 400;
 
 const QUESTIONS = {
   lift: "Lift the stop? Programs may then release their devices, and vehicles may move.",
@@ -20,7 +19,7 @@ const pairOf = (order) => PAIRS.find((pair) => pair.includes(order));
 const without = (table, names) => Object.fromEntries(Object.entries(table).filter(([name]) => !names.includes(name)));
 
 export default {
-  components: { TeamMap, Halt, Plots },
+  components: { TeamMap, Halt, Plots, TeamLog },
   props: { title: String, resourcePath: String },
   template: `
   <div class="watch" :class="{stale, halted: look && (look.stands || Object.keys(look.stop.unreached).length)}">
@@ -48,9 +47,7 @@ export default {
       </section>
       <section class="panel log" aria-label="Log">
         <h2>Log</h2>
-        <div ref="log" class="lines" data-testid="log" role="log" tabindex="0" @scroll="scrolled">
-          <p v-for="line in log" :key="line.serial"><time>{{ clock(line.at) }}</time><b>{{ line.host }}</b><span>{{ said(line) }}</span></p>
-        </div>
+        <team-log :fresh="fresh" :most="look.lines"/>
         <p v-for="loss in losses" :key="loss" class="bad">{{ loss }}</p>
       </section>
       </div>
@@ -81,7 +78,7 @@ export default {
           <p v-if="c.line || c.waits" class="line"><code v-if="c.line">{{ c.file }}:{{ c.line }}</code><template v-if="c.waits"> waits for <code>{{ c.waits }}</code></template></p>
           <p v-if="c.doubt" class="bad">{{ c.doubt }}</p>
           <p v-if="c.finished && c.detail" class="bad">{{ c.detail }}</p>
-          <p class="hops"><span class="hop">{{ c.hops }} hop{{ c.hops === 1 ? "" : "s" }}</span><span v-for="hop in c.trail.slice(-3).reverse()" :key="hop.number" class="hop">{{ hop.of }} → {{ hop.to }}{{ hop.failed ? ", failed" : hop.seconds === null ? "" : ", " + duration(hop.seconds) }}</span></p>
+          <p class="hops"><span v-if="c.hops !== null" class="hop">{{ c.hops }} hop{{ c.hops === 1 ? "" : "s" }}</span><span v-for="hop in c.trail.slice(-3).reverse()" :key="hop.number" class="hop">{{ hop.of }} → {{ hop.to }}{{ hop.failed ? ", failed" : hop.seconds === null ? "" : ", " + duration(hop.seconds) }}</span></p>
         </article>
         <p v-if="!look.coordinators.length" class="none">No coordinator was heard of yet.</p>
       </section>
@@ -126,7 +123,7 @@ export default {
     </dialog>
   </div>`,
   data: () => ({
-    look: null, log: [], at: null, taken: 0, now: 0, trouble: "", pending: {}, failures: {}, selected: "",
+    look: null, fresh: [], at: null, taken: 0, now: 0, trouble: "", pending: {}, failures: {}, selected: "",
     asked: "", asking: false, answer: null, sure: "",
   }),
   computed: {
@@ -166,7 +163,7 @@ export default {
     },
   },
   methods: {
-    age: words.age, metres: words.metres, share: words.share, place: words.place, clock: words.clock,
+    age: words.age, metres: words.metres, share: words.share, place: words.place,
     duration: words.duration,
     lamp(v) {
       if (!v.fresh) return "gone";
@@ -177,10 +174,6 @@ export default {
       const was = d.fresh ? "" : "was ";
       if (!d.confirmed) return `${was}not confirmed`;
       return `${was}safe, ${d.moving || "at rest"}`;
-    },
-    // Many programs say who speaks.
-    said({ agent, text }) {
-      return agent && !text.startsWith(`${agent}:`) ? `${agent}: ${text}` : text;
     },
     where(c) {
       if (c.finished) return `${c.finished} at ${c.host}`;
@@ -208,16 +201,7 @@ export default {
       this.taken = this.now = performance.now();
       this.trouble = "";
       this.known();
-      if (!log.length) return;
-      this.log = [...this.log, ...log].slice(-LINES_KEPT);
-      this.$nextTick(() => {
-        const lines = this.$refs.log;
-        if (lines && this.atEnd !== false) lines.scrollTop = lines.scrollHeight;
-      });
-    },
-    scrolled() {
-      const lines = this.$refs.log;
-      this.atEnd = lines.scrollHeight - lines.scrollTop - lines.clientHeight < 24;
+      if (log.length) this.fresh = log;
     },
     async press(order) {
       const press = { since: performance.now(), after: this.newest([...PAIRS.flat()]) };
