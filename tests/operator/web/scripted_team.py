@@ -14,9 +14,11 @@ import time
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+from lfield.capability.offer import Fact, Offer
+from lfield.capability.reading.reader import read_registry
 from lfield.clock import SystemClock
 from lfield.errors import AddressError
-from lfield.operator.sight.actions import Answer, Order, Ordered
+from lfield.operator.sight.actions import Answer, Found, Order, Ordered
 from lfield.operator.sight.picture.curves import Curves
 from lfield.operator.sight.picture.presses import Presses
 from lfield.operator.sight.seen import (
@@ -64,6 +66,7 @@ class Script:
         self.held: set[str] = set()
         self.reason = "the emergency stop was pressed"
         self.low: set[str] = set()
+        self.places: dict[str, tuple[float, float]] = {}
         self.frozen = {}
         self.lines: list[LogLine] = []
         self.revision = 0
@@ -77,6 +80,8 @@ class Script:
                 self.frozen[host] = self.now()
             case ["hang", host]:
                 self.hung.add(host)
+            case ["place", agent, north, east]:
+                self.places[agent] = float(north), float(east)
             case ["unplace", agent]:
                 self.unplaced.add(agent)
             case ["stubborn", agent]:
@@ -133,6 +138,12 @@ class Script:
         return Ordered("resume")
 
     async def query(self, text: str) -> Answer:
+        if text.startswith("Lift"):
+            offers = [
+                Offer("Lift", "direct", "lift", v.agent, v.host, 1.0, {"payload": Fact(2.5)})
+                for v in self.seen().vehicles.values()
+            ]
+            return Answer(text, (Found(read_registry().primitives["Lift"], offers, len(offers), (), ()),))
         return Answer(text, mistakes=f'error: nobody knows what "{text}" is')
 
     # --- Sight --------------------------------------------------------------------------------------------
@@ -149,7 +160,7 @@ class Script:
         seconds = now - self.began
         angle = 0.25 * seconds * (1 if number % 2 else -1) + number
         radius = 6.0 + 2.4 * number
-        north, east = radius * math.cos(angle), radius * math.sin(angle)
+        north, east = self.places.get(agent, (radius * math.cos(angle), radius * math.sin(angle)))
         height = 3.0 + number % 7 + 0.4 * math.sin(seconds)
         held = self.stopped is not None and host in self.held
         latched = held and agent not in self.stubborn

@@ -345,6 +345,54 @@ def test_a_question_that_is_none_is_answered_with_its_mistakes(browser, page_of)
     browser.says("answer", 'nobody knows what "Lift whree payload" is')
 
 
+def test_an_answer_grows_old_and_whose_host_is_gone_is_grey_in_it(browser, page_of):
+    page = page_of()
+    browser.open(page.link)
+    browser.thing("query").send_keys("Lift", Keys.ENTER)
+    browser.says("answer", "Lift, asked 0.")
+    browser.says("answer", "Lift, asked 1.")
+    assert "old" not in (browser.thing("offer-wing").get_attribute("class") or "")
+    page.do("kill bravo")
+    browser.says("offer-wing", "bravo not heard any more")
+    assert "old" in browser.thing("offer-wing").get_attribute("class")
+    assert "old" not in (browser.thing("offer-lead").get_attribute("class") or "")
+
+
+def test_on_the_earth_places_are_degrees(browser, page_of):
+    page = page_of("--earth")
+    page.do("place lead 0 0")
+    browser.open(page.link)
+    browser.says("place-lead", "47.400000°, 8.500000°")
+    assert "m north" in browser.thing("place-lead").get_attribute("title")
+    labels = ".sky .grid text"
+    browser.wait(lambda: browser.driver.find_elements(By.CSS_SELECTOR, labels))
+    told = [label.text for label in browser.driver.find_elements(By.CSS_SELECTOR, labels)]
+    assert any(text.startswith("47.4") and text.endswith("° N") for text in told), told
+    assert any(text.startswith("8.5") and text.endswith("° E") for text in told), told
+
+
+def test_coordinators_are_in_sight_below_their_vehicles_on_a_phone(browser, page_of):
+    page = page_of()
+    page.do("place lead -50 0")
+    page.do("place wing 50 20")
+    size = {"width": 360, "height": 740, "deviceScaleFactor": 1, "mobile": True}
+    browser.driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
+    try:
+        browser.open(page.link)
+        low = """
+const place = document.querySelector("[data-testid=marker-lead]").getCTM().f;
+return document.querySelector(".map").clientHeight - place;
+"""
+        for north in range(-52, -90, -2):
+            before = browser.text("place-lead")
+            page.do(f"place lead {north} 0")
+            browser.wait(lambda before=before: browser.text("place-lead") != before)
+            # The diamond is 27 pixels below, and half of it is 6.
+            assert browser.driver.execute_script(low) >= 33
+    finally:
+        browser.driver.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
+
+
 def test_what_is_printed_is_shown_and_never_run(browser, page_of):
     page = page_of()
     browser.open(page.link)

@@ -55,7 +55,7 @@ export default {
       <section class="panel vehicles" aria-label="Vehicles">
         <h2>Vehicles</h2>
         <table>
-          <thead><tr><th scope="col">Vehicle</th><th scope="col">State</th><th scope="col" class="number">Height</th><th scope="col" class="number">Battery</th><th scope="col" class="number">Link</th><th scope="col" class="number wide">East, north, m</th></tr></thead>
+          <thead><tr><th scope="col">Vehicle</th><th scope="col">State</th><th scope="col" class="number">Height</th><th scope="col" class="number">Battery</th><th scope="col" class="number">Link</th><th scope="col" class="number wide">{{ geographic ? "Latitude, longitude" : "East, north, m" }}</th></tr></thead>
           <tbody>
             <tr v-for="v in look.vehicles" :key="v.agent" :data-testid="'vehicle-' + v.agent"
                 :class="{old: !v.fresh, selected: v.agent === selected}" @mouseenter="selected = v.agent" @mouseleave="selected = ''">
@@ -65,7 +65,7 @@ export default {
               <td class="number" :data-testid="'height-' + v.agent">{{ metres(v.height) }}</td>
               <td class="number" :class="{low: v.battery !== null && v.battery < 0.2}">{{ share(v.battery) }}</td>
               <td class="number" :class="{low: v.link !== null && v.link > 3}">{{ age(v.link) }}</td>
-              <td class="number wide" :data-testid="'place-' + v.agent">{{ place(v) }}</td>
+              <td class="number wide" :data-what="geographic ? 'latitude, longitude' : 'east, north, m'" :title="geographic ? local(v) : ''" :data-testid="'place-' + v.agent">{{ place(v, geographic) }}</td>
             </tr>
           </tbody>
         </table>
@@ -97,11 +97,12 @@ export default {
           <button type="submit" :disabled="!asked.trim() || asking">Ask</button>
         </form>
         <div v-if="answer" class="answer" data-testid="answer" role="status">
+          <p class="why">{{ answer.question }}, asked {{ age(Math.max(0, now - answer.taken) / 1000) }} ago</p>
           <pre v-if="answer.mistakes" class="bad">{{ answer.mistakes }}</pre>
           <p v-for="(why, host) in answer.unheard" :key="host" class="bad">{{ host }}: {{ why }}</p>
           <template v-for="found in answer.found" :key="found.primitive">
             <h3>{{ found.primitive }}<small>{{ found.offers.length ? found.count + " can" : "nobody can" }}</small></h3>
-            <ol v-if="found.offers.length"><li v-for="offer in found.offers"><b>{{ offer.agent }}</b> at {{ offer.host }}, {{ offer.how }}, score {{ offer.score.toFixed(3) }}<small>{{ [...offer.facts, ...offer.parts].join(", ") }}</small></li></ol>
+            <ol v-if="found.offers.length"><li v-for="offer in found.offers" :class="{old: silentOf(offer).length}" :data-testid="'offer-' + offer.agent"><b>{{ offer.agent }}</b> at {{ offer.host }}, {{ offer.how }}, score {{ offer.score.toFixed(3) }}<small>{{ [...offer.facts, ...offer.parts].join(", ") }}</small><template v-if="silentOf(offer).length"> {{ silentOf(offer).join(", ") }} not heard any more</template></li></ol>
             <p v-for="note in found.notes">{{ note }}</p>
             <pre v-if="found.refusals" class="why">{{ found.refusals }}</pre>
           </template>
@@ -157,13 +158,16 @@ export default {
     sureWords() {
       return QUESTIONS[this.sure] ?? "";
     },
+    geographic() {
+      return words.geographic(this.look.vehicles);
+    },
     losses() {
       const kinds = (host) => Object.entries(host.lost).map(([kind, count]) => `${count} ${kind}`).join(", ");
       return this.look.hosts.filter((host) => Object.keys(host.lost).length).map((host) => `${host.host}: lost on the way: ${kinds(host)}`);
     },
   },
   methods: {
-    age: words.age, metres: words.metres, share: words.share, place: words.place,
+    age: words.age, metres: words.metres, share: words.share, place: words.place, local: words.local,
     duration: words.duration,
     lamp(v) {
       if (!v.fresh) return "gone";
@@ -234,6 +238,11 @@ export default {
         this.failures = { ...this.failures, [order]: { ...failure, why, refused: true } };
       }
     },
+    // The hosts of an offer that nobody hears any more.
+    silentOf(offer) {
+      const heard = this.look.hosts.filter((host) => host.linked).map((host) => host.host);
+      return offer.hosts.filter((host) => !heard.includes(host));
+    },
     confirm(order) {
       this.sure = order;
       this.$refs.sure.returnValue = "";
@@ -243,11 +252,12 @@ export default {
       if (this.$refs.sure.returnValue === "yes") this.press(this.sure);
     },
     async question() {
+      const question = this.asked;
       this.asking = true;
       try {
-        this.answer = await ask(this.asked);
+        this.answer = { ...(await ask(question)), taken: performance.now() };
       } catch (error) {
-        this.answer = { mistakes: error.message, unheard: {}, found: [] };
+        this.answer = { question, mistakes: error.message, unheard: {}, found: [], taken: performance.now() };
       }
       this.asking = false;
     },
