@@ -151,7 +151,9 @@ export default {
       const places = Math.max(0, -Math.floor(Math.log10(step)));
       const north = (n) => ({ text: words.degrees(n, places, "N", "S"), x: 4, y: this.pixel([n, low.lng]).y - 3 });
       const east = (e) => ({ text: words.degrees(e, places, "E", "W"), x: this.pixel([low.lat, e]).x + 3, y: size.y - 4 });
-      return { path, axes: "", labels: [...rows.map(north), ...columns.map(east)] };
+      // In that corner is the scale.
+      const labels = [...rows.map(north), ...columns.map(east).filter((label) => label.x < size.x - 160)];
+      return { path, axes: "", labels };
     },
   },
   watch: {
