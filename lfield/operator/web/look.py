@@ -16,7 +16,7 @@ import msgspec
 from lfield.operator.sight.actions import Order
 from lfield.operator.sight.picture.loglines import MOST_LINES
 from lfield.operator.sight.seen import Curve, LogLine, Seen, Sight, VehicleSeen
-from lfield.operator.web.late import PROMPT
+from lfield.operator.web.buttons import PROMPT
 
 #: Seconds between two looks, at least, however many browsers ask; one asks five times a second (server.js).
 EVERY = 0.05

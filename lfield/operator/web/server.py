@@ -9,7 +9,7 @@ import asyncio
 import random
 import secrets
 import socket
-from collections.abc import Awaitable, Callable, Generator, Mapping
+from collections.abc import Callable, Generator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,20 +21,18 @@ from fastapi import FastAPI, Request, Response
 from nicegui import ui
 
 from lfield.clock import Clock
-from lfield.operator.sight.actions import Actions, Ordered
+from lfield.operator.sight.actions import Actions
 from lfield.operator.sight.seen import Sight
 from lfield.operator.web.answers import answered, ordered
+from lfield.operator.web.buttons import REASON, buttons, refusal, told
 from lfield.operator.web.callers import Callers
 from lfield.operator.web.door import Door
 from lfield.operator.web.gate import Gate
-from lfield.operator.web.late import refusal, told
 from lfield.operator.web.look import Looks
 from lfield.operator.web.page import page
 from lfield.operator.web.site import Site
 from lfield.operator.web.tiles import Tiles
 
-#: What is written into the logs of the hosts when somebody presses STOP here.
-REASON = "on the page of lfield watch"
 #: The longest body of a request, in bytes: the longest question has 4000 characters.
 _MOST_BYTES = 20_000
 #: Seconds for which a connection of a browser is kept on which nothing is asked.
@@ -141,7 +139,7 @@ def _add_routes(app: FastAPI, served: Served) -> None:
     async def act(request: Request) -> Response:
         said = await _said(request)
         asked, pressed, now = said.get("action"), said.get("pressed"), served.clock.monotonic()
-        does = _buttons(served.actions, told(REASON, pressed, now)).get(str(asked))
+        does = buttons(served.actions, told(REASON, pressed, now)).get(str(asked))
         if does is None:
             return _refused("there is no such button")
         if why := refusal(asked, pressed, now):
@@ -165,16 +163,6 @@ def _add_routes(app: FastAPI, served: Served) -> None:
         if found is None:
             return Response(status_code=404)
         return Response(found.data, media_type=found.kind, headers={"Cache-Control": "max-age=3600"})
-
-
-def _buttons(actions: Actions, reason: str) -> Mapping[str, Callable[[], Awaitable[Ordered]]]:
-    """What each of them does; the reason is that of a stop."""
-    return {
-        "stop": lambda: actions.stop(reason),
-        "lift": actions.lift,
-        "pause": actions.pause,
-        "resume": actions.resume,
-    }
 
 
 async def _said(request: Request) -> dict[str, Any]:

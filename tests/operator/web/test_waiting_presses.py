@@ -13,7 +13,7 @@ from urllib.parse import urlsplit
 import pytest
 
 from lfield.clock import SystemClock
-from lfield.operator.web.late import PROMPT
+from lfield.operator.web.buttons import PROMPT
 
 pytestmark = pytest.mark.process
 

@@ -10,7 +10,7 @@ const QUESTIONS = {
   resume: "Resume the mission? Agents go on, and vehicles may move.",
 };
 
-// What lets vehicles move again: late, it is refused (late.py).
+// What lets vehicles move again: late, it is refused (buttons.py).
 const RELEASES = ["lift", "resume"];
 
 // What undoes one another.

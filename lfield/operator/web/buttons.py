@@ -1,4 +1,6 @@
-"""How late a press comes, by the clock of the server alone, whatever that of a browser shows. Pure.
+"""What the buttons of the page do, and what of that is not done any more when a press comes late.
+
+How late it is goes by the clock of the server alone, whatever that of a browser shows.
 
 Each look says when it was made, and a press says how long the page had had the last one (browser/team.js). So
 `pressed` is when that was on the server's clock, or as much earlier as the look was under way.
@@ -6,6 +8,12 @@ Each look says when it was made, and a press says how long the page had had the 
 
 from __future__ import annotations
 
+from collections.abc import Awaitable, Callable, Mapping
+
+from lfield.operator.sight.actions import Actions, Ordered
+
+#: What is written into the logs of the hosts when somebody presses STOP here.
+REASON = "on the page of lfield watch"
 #: For so many seconds what lets vehicles move again may be under way.
 PROMPT = 10.0
 #: What does so. STOP and Pause make a team safer: late is better than never.
@@ -14,8 +22,22 @@ _RELEASES = ("lift", "resume")
 UNSEEN = "the page had not seen the team yet; look, and press it again"
 
 
+def buttons(actions: Actions, reason: str) -> Mapping[str, Callable[[], Awaitable[Ordered]]]:
+    """What each of them does; the reason is that of a stop."""
+    return {
+        "stop": lambda: actions.stop(reason),
+        "lift": actions.lift,
+        "pause": actions.pause,
+        "resume": actions.resume,
+    }
+
+
 def refusal(order: object, pressed: object, now: float) -> str:
-    """Why that order is not given any more, '' when it is."""
+    """Why that order is not given any more, '' when it is.
+
+    `pressed` is whatever came as that, and `now` the time by the same clock (s). Who does not say when it was
+    pressed releases nothing.
+    """
     if order not in _RELEASES:
         return ""
     late = _late(pressed, now)

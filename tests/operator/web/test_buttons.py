@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from lfield.operator.sight.actions import Order
-from lfield.operator.web.late import PROMPT, UNSEEN, refusal, told
+from lfield.operator.web.buttons import PROMPT, UNSEEN, refusal, told
 
 PRESSED = 5000.0
 
