@@ -27,7 +27,7 @@ def _agents(seen: Seen) -> Table:
             _add(shown, name, "-", "", _host_state(host))
         for agent in here:
             moves = agent.kind == "coordinator"
-            counts = (str(agent.hops), "") if moves else ("", str(agent.served))
+            counts = ("" if agent.hops is None else str(agent.hops), "") if moves else ("", str(agent.served))
             _add(shown, name, agent.agent, agent.type, _agent_state(agent), _place(agent), *counts)
     return shown
 

@@ -157,8 +157,9 @@ class AgentSeen:
 
     `state` is a word for what it does, `file` and `line` are where in its program it stands (0: not told),
     `waits` is the portal or instruction that it waits for. `finished` is how it ended: '', done, died, lost,
-    superseded, with the `detail`. `doubt` is why nobody knows whether it lives. `hops` counts all, `trail`
-    are the last, the newest last.
+    superseded, with the `detail`. `doubt` is why nobody knows whether it lives. `hops` counts all, None for
+    one that has ended before anybody looked, while its last host tells nothing; `trail` are the last, the
+    newest last.
     """
 
     agent: str
@@ -168,7 +169,7 @@ class AgentSeen:
     fresh: bool
     age: float | None = None
     generation: int = 0
-    hops: int = 0
+    hops: int | None = 0
     served: int = 0
     to: str = ""
     state: str = ""
@@ -197,9 +198,11 @@ class OfferSeen:
 
 
 class LogLine(NamedTuple):
-    """A line of a host's log; `agent` is who said it, '' for the host itself. `at` is the host's clock.
+    """A line of a host's log; `agent` is who said it, '' for the host itself.
 
-    `serial` counts the lines of this picture from 1, so that only new ones need be drawn.
+    `at` is when that was by the clock of this computer (s since 1970), as well as it knows that of the host:
+    one time line for all. `serial` counts the lines of this picture from 1 in the order in which they came,
+    so that only new ones need be drawn. Within a host both orders are the same.
     """
 
     serial: int
@@ -216,7 +219,8 @@ class StopSeen:
 
     `hosts` are those where it stands. `confirmed` and `unconfirmed` are their devices, the latter with the
     reason; `unreached` are hosts that should have stopped and of which nobody knows it, with the reason.
-    `before` are hosts that are not heard and had stopped when they were, with what was safe then.
+    `asked` are hosts that have not answered the press from here yet, whatever else they have said. `before`
+    are hosts that are not heard and had stopped when they were, with what was safe then.
     """
 
     reason: str = ""
@@ -226,6 +230,7 @@ class StopSeen:
     confirmed: tuple[str, ...] = ()
     unconfirmed: Mapping[str, str] = field(default_factory=dict)
     unreached: Mapping[str, str] = field(default_factory=dict)
+    asked: tuple[str, ...] = ()
     before: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
     @property
@@ -236,7 +241,7 @@ class StopSeen:
     @property
     def complete(self) -> bool:
         """Whether every device of every host of the team is seen to be safe."""
-        return self.stands and not (self.unconfirmed or self.unreached or self.before)
+        return self.stands and not (self.unconfirmed or self.unreached or self.asked or self.before)
 
 
 @dataclass(frozen=True, slots=True)

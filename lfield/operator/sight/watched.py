@@ -46,7 +46,8 @@ class Watched:
     actions: Actions
 
     def __init__(self, roll: Roll, clock: Clock) -> None:
-        self.picture = Picture(roll)
+        self._ahead = clock.time() - clock.monotonic()
+        self.picture = Picture(roll, self._ahead)
         self._clock = clock
 
     def seen(self) -> Seen:
@@ -81,8 +82,7 @@ class Watched:
         """Begin the log with what hosts had said before they were looked at."""
         self.picture.log_waits()
         told = await said
-        behind = self._clock.time() - self._clock.monotonic()
-        self.picture.log_begins((d.host, d.incarnation, d.event, d.time - behind) for d in told)
+        self.picture.log_begins((d.host, d.incarnation, d.event, d.time - self._ahead) for d in told)
 
     async def tick(self) -> None:
         """Let curves grow until this is cancelled."""

@@ -44,6 +44,8 @@ def _offer(offer: Offer, units: Mapping[str, str]) -> dict[str, Any]:
     return {
         "agent": offer.agent,
         "host": offer.host,
+        # Of one that is composed those of its parts.
+        "hosts": sorted({part.host for part in offer.parts.values()} or {offer.host}),
         "how": "direct" if offer.kind == "direct" else f"by {offer.rule}",
         "score": offer.score,
         "facts": [f"{name} {worth(fact.value, units.get(name, ''))}" for name, fact in told],

@@ -14,12 +14,14 @@ from typing import Any
 import msgspec
 
 from lfield.operator.sight.actions import Order
+from lfield.operator.sight.picture.loglines import MOST_LINES
 from lfield.operator.sight.seen import Curve, LogLine, Seen, Sight, VehicleSeen
+from lfield.operator.web.buttons import PROMPT
 
 #: Seconds between two looks, at least, however many browsers ask; one asks five times a second (server.js).
 EVERY = 0.05
-#: So many lines of the log a page gets at once, the newest: it keeps no more.
-LINES = 400
+#: So many lines of the log a page gets at once, the newest, and keeps (log.js).
+LINES = MOST_LINES
 #: So many points a curve of a plot has at most.
 POINTS = 150
 
@@ -40,6 +42,8 @@ def team(seen: Seen, barred: Mapping[Order, str], tiles: Mapping[str, Any] | Non
             "paused": seen.paused,
             "barred": barred,
             "tiles": tiles,
+            "prompt": PROMPT,
+            "lines": LINES,
         }
     )
 
@@ -83,12 +87,16 @@ class Looks:
     _at: float = 0.0
 
     def look(self, after: int) -> bytes:
-        """What a browser gets that has the log until that number: `{"team": {...}, "log": [...]}`."""
+        """What a browser gets that has the log until that number: `{"at": s, "look": {...}, "log": [...]}`.
+
+        `at` is when the look was made, by `now`.
+        """
         now = self.now()
         if self._seen is None or now - self._at >= EVERY:
             self._seen, self._at = self.sight.seen(), now
             self._team = team(self._seen, self.barred(), self.tiles)
-        return b'{"look":%b,"log":%b}' % (self._team, lines(self._seen.log, after))
+        log = lines(self._seen.log, after)
+        return b'{"at":%b,"look":%b,"log":%b}' % (msgspec.json.encode(self._at), self._team, log)
 
     def plots(self) -> bytes:
         """What its plots show."""

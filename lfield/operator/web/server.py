@@ -9,7 +9,7 @@ import asyncio
 import random
 import secrets
 import socket
-from collections.abc import Awaitable, Callable, Generator, Mapping
+from collections.abc import Callable, Generator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,9 +21,10 @@ from fastapi import FastAPI, Request, Response
 from nicegui import ui
 
 from lfield.clock import Clock
-from lfield.operator.sight.actions import Actions, Ordered
+from lfield.operator.sight.actions import Actions
 from lfield.operator.sight.seen import Sight
 from lfield.operator.web.answers import answered, ordered
+from lfield.operator.web.buttons import REASON, buttons, refusal, told
 from lfield.operator.web.callers import Callers
 from lfield.operator.web.door import Door
 from lfield.operator.web.gate import Gate
@@ -32,10 +33,10 @@ from lfield.operator.web.page import page
 from lfield.operator.web.site import Site
 from lfield.operator.web.tiles import Tiles
 
-#: What is written into the logs of the hosts when somebody presses STOP here.
-REASON = "on the page of lfield watch"
 #: The longest body of a request, in bytes: the longest question has 4000 characters.
 _MOST_BYTES = 20_000
+#: Seconds for which a connection of a browser is kept on which nothing is asked.
+_IDLE = 3600
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,6 +78,9 @@ async def serve(served: Served, site: Site, tell: Callable[[str], None]) -> None
         proxy_headers=False,
         access_log=False,
         lifespan="on",
+        # A process that did not run for a while looks at its timers first: a connection that it gave up then
+        # would take the press with it that has come there meanwhile.
+        timeout_keep_alive=_IDLE,
         # Pages that are open are not waited for.
         timeout_graceful_shutdown=1,
     )
@@ -133,10 +137,13 @@ def _add_routes(app: FastAPI, served: Served) -> None:
 
     @app.post("/act")
     async def act(request: Request) -> Response:
-        asked = (await _said(request)).get("action")
-        does = _buttons(served.actions).get(str(asked))
+        said = await _said(request)
+        asked, pressed, now = said.get("action"), said.get("pressed"), served.clock.monotonic()
+        does = buttons(served.actions, told(REASON, pressed, now)).get(str(asked))
         if does is None:
             return _refused("there is no such button")
+        if why := refusal(asked, pressed, now):
+            return _refused(why, 409)
         # Hosts would say the same; whoever has no button need not ask them.
         for order, why in served.actions.barred.items():
             if order == asked:
@@ -156,16 +163,6 @@ def _add_routes(app: FastAPI, served: Served) -> None:
         if found is None:
             return Response(status_code=404)
         return Response(found.data, media_type=found.kind, headers={"Cache-Control": "max-age=3600"})
-
-
-def _buttons(actions: Actions) -> Mapping[str, Callable[[], Awaitable[Ordered]]]:
-    """What each of them does."""
-    return {
-        "stop": lambda: actions.stop(REASON),
-        "lift": actions.lift,
-        "pause": actions.pause,
-        "resume": actions.resume,
-    }
 
 
 async def _said(request: Request) -> dict[str, Any]:

@@ -77,6 +77,34 @@ def test_hosts_that_have_not_answered_yet_are_asked() -> None:
     assert (desk.last.asked, desk.last.done) == ((), ("beta",))
 
 
+def test_a_stop_is_not_complete_before_every_host_has_answered() -> None:
+    desk = Desk()
+    number = desk.order("stop")
+    desk.tell("alpha", Stopped("anna", "x"), Latched("one.fc", "land", "x"), Confirmed("one.fc", "land", "x"))
+    desk.picture.answered(number, "alpha", EmergencyStopped({"one.fc": ""}))
+    # beta hangs: still linked, then not any more, and at last nobody waits for it.
+    assert (desk.seen.stop.asked, desk.seen.stop.complete) == (("beta",), False)
+    desk.picture.unlinked("beta", "nothing was heard of it for 6 s")
+    assert (desk.seen.stop.asked, desk.seen.stop.complete) == (("beta",), False)
+    desk.picture.answered(number, "beta", NOBODY)
+    assert (desk.seen.stop.asked, set(desk.seen.stop.unreached)) == ((), {"beta"})
+    assert not desk.seen.stop.complete
+
+
+def test_a_host_that_has_told_of_the_stop_and_not_of_its_devices_has_not_answered() -> None:
+    desk = Desk()
+    number = desk.order("stop")
+    for host, device in (("alpha", "one.fc"), ("beta", "two.fc")):
+        desk.tell(host, Stopped("anna", "x"), Latched(device, "land", "x"), Confirmed(device, "land", "x"))
+    desk.picture.answered(number, "alpha", EmergencyStopped({"one.fc": ""}))
+    assert (desk.last.asked, desk.seen.stop.complete) == (("beta",), False)
+    desk.picture.answered(number, "beta", EmergencyStopped({"two.fc": "", "two.winch": "it does not answer"}))
+    assert desk.seen.stop.unconfirmed == {"two.winch": "it does not answer"}
+    assert not desk.seen.stop.complete
+    desk.tell("beta", Latched("two.winch", "hold", "x"), Confirmed("two.winch", "hold", "x"))
+    assert desk.seen.stop.complete
+
+
 def test_a_host_whose_address_nobody_knows_is_not_reached_either() -> None:
     desk = Desk()
     desk.picture.answered(desk.picture.ordered("stop", ["alpha"], desk.now), "alpha", NOBODY)

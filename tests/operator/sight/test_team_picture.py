@@ -438,6 +438,41 @@ def test_what_a_snapshot_has_told_the_end_of_changes_nothing_any_more() -> None:
     assert [line.text for line in story.seen.log] == ["hi"]
 
 
+def test_the_log_has_one_time_line_whatever_the_clocks_of_hosts_show() -> None:
+    story = Story()
+    story.picture = Picture(roll(), 1.7e9)
+    story.hosts["alpha"].wall, story.hosts["beta"].wall = 1.7e9 + 660.0, 1.7e9 - 4720.0
+    for host in ("alpha", "beta", "alpha"):
+        story.now += 1.0
+        story.tell(host, Logged("hi"))
+    assert [line.at - 1.7e9 for line in story.seen.log] == pytest.approx([101.0, 102.0, 103.0], abs=0.01)
+
+
+def test_no_line_of_a_host_goes_back_when_its_clock_becomes_better_known() -> None:
+    story = Story()
+    story.tell("alpha", Logged("one"))
+    host = story.hosts["alpha"]
+    story.picture.told("alpha", host.batch(story.now + 0.1 - 49.0, Logged("two")), story.now + 0.1, 1.7e9)
+    first, second = story.seen.log
+    assert (first.text, second.text) == ("one", "two")
+    assert first.at <= second.at
+
+
+def test_a_coordinator_that_ended_before_anybody_looked_has_the_hops_that_its_last_host_tells() -> None:
+    story = Story()
+    ended = Known("boss", 1, 9, 9, "EXITED", "beta", "done")
+    other = snapshot("alpha")
+    other.coordinators.append(Known("boss", 1, 4, 4, "EXITED", "beta", "done"))
+    story.tell("alpha", snapshot=other)
+    assert story.seen.agents["boss"].hops is None
+    own = snapshot("beta")
+    own.coordinators.append(ended)
+    story.tell("beta", snapshot=own)
+    story.tell("alpha", snapshot=other)
+    boss = story.seen.agents["boss"]
+    assert (boss.finished, boss.hops) == ("done", 9)
+
+
 def test_the_log_begins_with_what_was_said_before_and_has_nothing_twice() -> None:
     story = Story()
     host = story.hosts["alpha"]

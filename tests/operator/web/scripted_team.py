@@ -11,12 +11,15 @@ import math
 import sys
 import threading
 import time
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+from lfield.capability.offer import Fact, Offer
+from lfield.capability.reading.reader import read_registry
 from lfield.clock import SystemClock
 from lfield.errors import AddressError
-from lfield.operator.sight.actions import Answer, Order, Ordered
+from lfield.operator.sight.actions import Answer, Found, Order, Ordered
+from lfield.operator.sight.picture.curves import Curves
 from lfield.operator.sight.picture.presses import Presses
 from lfield.operator.sight.seen import (
     AgentSeen,
@@ -28,6 +31,7 @@ from lfield.operator.sight.seen import (
     Local,
     LogLine,
     OfferSeen,
+    OrderSeen,
     Reading,
     Seen,
     StopSeen,
@@ -49,6 +53,8 @@ class Script:
     dead: set[str] = field(default_factory=set)
     unplaced: set[str] = field(default_factory=set)
     stubborn: set[str] = field(default_factory=set)
+    #: Hosts that hang: they are linked, and answer nothing.
+    hung: set[str] = field(default_factory=set)
     barred: dict[Order, str] = field(default_factory=dict)
     stopped: float | None = None
     paused: bool = False
@@ -58,7 +64,9 @@ class Script:
         self.began = self.now()
         self.presses = Presses()
         self.held: set[str] = set()
+        self.reason = "the emergency stop was pressed"
         self.low: set[str] = set()
+        self.places: dict[str, tuple[float, float]] = {}
         self.frozen = {}
         self.lines: list[LogLine] = []
         self.revision = 0
@@ -70,6 +78,10 @@ class Script:
             case ["kill", host]:
                 self.dead.add(host)
                 self.frozen[host] = self.now()
+            case ["hang", host]:
+                self.hung.add(host)
+            case ["place", agent, north, east]:
+                self.places[agent] = float(north), float(east)
             case ["unplace", agent]:
                 self.unplaced.add(agent)
             case ["stubborn", agent]:
@@ -91,6 +103,7 @@ class Script:
     # --- Actions ------------------------------------------------------------------------------------------
 
     async def stop(self, reason: str = "") -> Ordered:
+        self.reason = f"the emergency stop was pressed: {reason}"
         self.stopped = self.now()
         self.held |= self.order("stop")
         self.pressed.append("stop")
@@ -101,10 +114,10 @@ class Script:
         """The hosts that hear it."""
         names = [self.host_of(number) for number in range(self.count)]
         number = self.presses.ordered(order, names, self.now())
-        for name in names:
+        for name in set(names) - self.hung:
             nobody = AddressError(f"{name}:8181", "nobody listens there")
             self.presses.answered(number, name, nobody if name in self.dead else EmergencyStopped({}))
-        return set(names) - self.dead
+        return set(names) - self.dead - self.hung
 
     async def lift(self) -> Ordered:
         self.held -= self.order("lift")
@@ -125,6 +138,12 @@ class Script:
         return Ordered("resume")
 
     async def query(self, text: str) -> Answer:
+        if text.startswith("Lift"):
+            offers = [
+                Offer("Lift", "direct", "lift", v.agent, v.host, 1.0, {"payload": Fact(2.5)})
+                for v in self.seen().vehicles.values()
+            ]
+            return Answer(text, (Found(read_registry().primitives["Lift"], offers, len(offers), (), ()),))
         return Answer(text, mistakes=f'error: nobody knows what "{text}" is')
 
     # --- Sight --------------------------------------------------------------------------------------------
@@ -141,7 +160,7 @@ class Script:
         seconds = now - self.began
         angle = 0.25 * seconds * (1 if number % 2 else -1) + number
         radius = 6.0 + 2.4 * number
-        north, east = radius * math.cos(angle), radius * math.sin(angle)
+        north, east = self.places.get(agent, (radius * math.cos(angle), radius * math.sin(angle)))
         height = 3.0 + number % 7 + 0.4 * math.sin(seconds)
         held = self.stopped is not None and host in self.held
         latched = held and agent not in self.stubborn
@@ -233,6 +252,7 @@ class Script:
         )
         if int(seconds) > len([line for line in self.lines if line.agent]):
             self.say(at[0], f"at {vehicles[self.agent_of(hop % self.count)].height:.1f} m", "pilot")
+        orders = self.presses.seen(self.now(), hosts, {})
         return Seen(
             "mission",
             self.revision,
@@ -245,53 +265,49 @@ class Script:
                 )
                 for name, v in vehicles.items()
             },
-            self.stop_seen(vehicles, hosts),
+            self.stop_seen(vehicles, hosts, orders),
             tuple(self.lines),
-            self.presses.seen(self.now(), hosts, {}),
+            orders,
         )
 
-    def stop_seen(self, vehicles: dict[str, VehicleSeen], hosts: dict[str, HostSeen]) -> StopSeen:
+    def stop_seen(
+        self, vehicles: dict[str, VehicleSeen], hosts: dict[str, HostSeen], orders: tuple[OrderSeen, ...]
+    ) -> StopSeen:
         if self.stopped is None:
             return StopSeen()
         devices = [
             device for vehicle in vehicles.values() for device in vehicle.devices if device.host in self.held
         ]
         seen = [device for device in devices if device.fresh]
+        asked = next((order.asked for order in orders if order.order == "stop"), ())
         return StopSeen(
-            "the emergency stop was pressed on the page",
+            self.reason,
             "anna",
             self.now() - self.stopped,
             tuple(name for name, host in hosts.items() if host.stopped and host.linked),
             tuple(device.name for device in seen if device.confirmed),
             {device.name: "it has not answered" for device in seen if not device.confirmed},
             {name: host.trouble for name, host in hosts.items() if not host.linked and not host.stopped},
+            asked,
             {device.host: (device.name,) for device in devices if not device.fresh},
         )
 
     def curves(self) -> tuple[Curve, ...]:
-        seconds = self.now() - self.began
-        times = [-600 + 5 * n for n in range(121) if -600 + 5 * n >= -seconds - 300]
-        made = []
-        for number in range(self.count):
-            agent = self.agent_of(number)
-            heights = [] if agent in self.low else made
-            heights.append(
-                Curve(
-                    "height", agent, tuple((t, 3 + number % 7 + math.sin((seconds + t) / 9)) for t in times)
+        """Of the last five minutes, as the product has them."""
+        now, curves = self.now(), Curves()
+        for ago in range(300, -1, -5):
+            seconds = now - self.began - ago
+            vehicles = {}
+            for number in range(self.count):
+                vehicle = self.vehicle(number)
+                vehicles[vehicle.agent] = replace(
+                    vehicle,
+                    height=None if vehicle.agent in self.low else 3 + number % 7 + math.sin(seconds / 9),
+                    battery=0.6 - 0.0005 * seconds - 0.01 * number,
+                    link=0.1 + 0.1 * abs(math.sin(seconds * (number + 1))),
                 )
-            )
-            made.append(
-                Curve(
-                    "battery",
-                    agent,
-                    tuple((t, 0.9 - 0.0005 * (seconds + t + 600) - 0.01 * number) for t in times),
-                )
-            )
-            made.append(
-                Curve("link", agent, tuple((t, 0.1 + 0.1 * abs(math.sin(t * (number + 1)))) for t in times))
-            )
-        made.append(Curve("hops", "pilot", tuple((t, 30 + 4 * math.sin(t / 20)) for t in times)))
-        return tuple(made)
+            curves.add(now - ago, vehicles, {"pilot": 30 + 4 * math.sin(seconds / 20)})
+        return curves.seen(now)
 
 
 async def main() -> None:

@@ -27,6 +27,7 @@ def test_offers_have_units_and_refusals_their_reasons():
     assert first["facts"] == ["payload 0.5 kg", "tools winch"]
     assert (first["how"], first["score"]) == ("direct", 0.8)
     assert second["how"] == "by grip-and-climb"
+    assert (first["hosts"], second["hosts"]) == (["bravo"], ["alpha"])
     assert second["parts"] == ["arm1 at alpha: Grip"]
     assert lift["refusals"] == "rover: payload 0.2 < 2.0"
     assert told["unheard"] == {"charlie": "nobody listens"}

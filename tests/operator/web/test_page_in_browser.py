@@ -13,6 +13,7 @@ from selenium.webdriver.common.by import By
 from selenium.webdriver.common.keys import Keys
 
 from lfield.operator.web.door import NO_SESSION, OLD_LINK
+from lfield.operator.web.look import LINES
 
 pytestmark = [needs_browser, pytest.mark.browser, pytest.mark.process]
 
@@ -66,6 +67,18 @@ def test_stop_is_one_press_and_tells_who_has_confirmed(browser, page_of):
     browser.says("latch-lead-fc", "at rest")
     first = browser.text("place-lead")
     browser.wait(lambda: browser.text("place-lead") != first)
+
+
+def test_no_stop_is_complete_while_a_host_has_not_answered(browser, page_of):
+    page = page_of()
+    page.do("hang bravo")
+    browser.open(page.link)
+    browser.thing("stop").click()
+    browser.says("asked-bravo", "bravo is asked, and has not answered yet")
+    browser.says("confirmed-lead.fc", "safe, at rest")
+    assert "Stopped: 1 not confirmed" in browser.text("halt")
+    assert "every device" not in browser.text("halt")
+    assert "bravo asked, no answer yet" in browser.text("state")
 
 
 def test_lifting_and_resuming_ask_once_more(browser, page_of):
@@ -177,6 +190,44 @@ def test_a_press_shows_at_once_on_a_server_that_does_not_answer(browser, page_of
     assert page.line() == "pressed stop"
     browser.says("halt", "Stopped")
     browser.wait(lambda: not browser.all("failed") and not browser.all("asking-stop"))
+
+
+def test_a_stop_that_the_page_has_given_up_is_done_late_and_says_so(browser, page_of):
+    page = page_of()
+    browser.open(page.link)
+    page.line()
+    os.kill(page.process.pid, signal.SIGSTOP)
+    try:
+        browser.thing("stop").click()
+        browser.says("failed", "STOP has perhaps not been done")
+    finally:
+        os.kill(page.process.pid, signal.SIGCONT)
+    assert page.line() == "pressed stop"
+    browser.says("halt", "s late")
+    browser.wait(lambda: not browser.all("failed"))
+
+
+@pytest.mark.parametrize("order", ["lift", "resume"])
+def test_what_releases_is_not_done_once_the_page_has_given_it_up(browser, page_of, order):
+    page = page_of()
+    browser.open(page.link)
+    page.line()
+    browser.thing("stop").click()
+    assert page.line() == "pressed stop"
+    browser.wait(lambda: browser.thing("lift").is_enabled())
+    os.kill(page.process.pid, signal.SIGSTOP)
+    try:
+        browser.thing(order).click()
+        browser.thing("yes").click()
+        browser.says("failed", "has perhaps not been done")
+    finally:
+        os.kill(page.process.pid, signal.SIGCONT)
+    browser.says("failed", "has not been done: it did not reach the server in time; look, and press it again")
+    browser.says("halt", "Stopped")
+    browser.thing(order).click()
+    browser.thing("yes").click()
+    assert page.line() == f"pressed {order}", "the first that is done"
+    browser.wait(lambda: not browser.all("failed"))
 
 
 def test_stopped_and_paused_at_once_is_told_as_both(browser, page_of):
@@ -294,6 +345,54 @@ def test_a_question_that_is_none_is_answered_with_its_mistakes(browser, page_of)
     browser.says("answer", 'nobody knows what "Lift whree payload" is')
 
 
+def test_an_answer_grows_old_and_whose_host_is_gone_is_grey_in_it(browser, page_of):
+    page = page_of()
+    browser.open(page.link)
+    browser.thing("query").send_keys("Lift", Keys.ENTER)
+    browser.says("answer", "Lift, asked 0.")
+    browser.says("answer", "Lift, asked 1.")
+    assert "old" not in (browser.thing("offer-wing").get_attribute("class") or "")
+    page.do("kill bravo")
+    browser.says("offer-wing", "bravo not heard any more")
+    assert "old" in browser.thing("offer-wing").get_attribute("class")
+    assert "old" not in (browser.thing("offer-lead").get_attribute("class") or "")
+
+
+def test_on_the_earth_places_are_degrees(browser, page_of):
+    page = page_of("--earth")
+    page.do("place lead 0 0")
+    browser.open(page.link)
+    browser.says("place-lead", "47.400000°, 8.500000°")
+    assert "m north" in browser.thing("place-lead").get_attribute("title")
+    labels = ".sky .grid text"
+    browser.wait(lambda: browser.driver.find_elements(By.CSS_SELECTOR, labels))
+    told = [label.text for label in browser.driver.find_elements(By.CSS_SELECTOR, labels)]
+    assert any(text.startswith("47.4") and text.endswith("° N") for text in told), told
+    assert any(text.startswith("8.5") and text.endswith("° E") for text in told), told
+
+
+def test_coordinators_are_in_sight_below_their_vehicles_on_a_phone(browser, page_of):
+    page = page_of()
+    page.do("place lead -50 0")
+    page.do("place wing 50 20")
+    size = {"width": 360, "height": 740, "deviceScaleFactor": 1, "mobile": True}
+    browser.driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
+    try:
+        browser.open(page.link)
+        low = """
+const place = document.querySelector("[data-testid=marker-lead]").getCTM().f;
+return document.querySelector(".map").clientHeight - place;
+"""
+        for north in range(-52, -90, -2):
+            before = browser.text("place-lead")
+            page.do(f"place lead {north} 0")
+            browser.wait(lambda before=before: browser.text("place-lead") != before)
+            # The diamond is 27 pixels below, and half of it is 6.
+            assert browser.driver.execute_script(low) >= 33
+    finally:
+        browser.driver.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
+
+
 def test_what_is_printed_is_shown_and_never_run(browser, page_of):
     page = page_of()
     browser.open(page.link)
@@ -372,13 +471,14 @@ def test_a_page_that_was_asleep_catches_up(browser, page_of):
     page = page_of()
     browser.open(page.link)
     browser.driver.execute_cdp_cmd("Page.setWebLifecycleState", {"state": "frozen"})
-    for number in range(1000):
+    for number in range(1100):
         page.do(f"say alpha line {number}")
     page.do("kill bravo")
     browser.driver.execute_cdp_cmd("Page.setWebLifecycleState", {"state": "active"})
-    browser.says("log", "line 999")
+    browser.says("log", "line 1099")
     browser.says("host-bravo", "nobody listens there")
-    assert len(browser.thing("log").find_elements(By.TAG_NAME, "p")) <= 400
+    assert len(browser.thing("log").find_elements(By.TAG_NAME, "time")) == LINES
+    browser.says("log-gap", "missing here")
     browser.wait(lambda: "last look" not in browser.text("state"))
 
 

@@ -69,6 +69,8 @@ class _Agent:
     sequence: int = 0
     when: float | None = None
     hops: int = 0
+    #: Whether all hops of this start are counted, as of one that was heard to begin, or of its own host.
+    counted: bool = False
     served: int = 0
     to: str = ""
     state: str = ""
@@ -101,6 +103,7 @@ class _Agent:
         if is_first and self.outdates(*hop) and hop >= max(others, default=hop):
             self.newest = {host: hop}
             self.generation = self.sequence = self.hops = 0
+            self.counted = False
             self.trail.clear()
             self.came.clear()
             self.to = self.finished = self.detail = self.doubt = ""
@@ -171,6 +174,7 @@ class Agents:
                 if not agent.outdates(generation, agent.sequence):
                     sequence = agent.sequence if generation == agent.generation else 0
                     agent.runs(host, generation, sequence, when)
+                agent.counted = agent.counted or isinstance(event, events.Started)
             case events.Finished(_, generation, how, detail):
                 self._finished(agent, host, generation, how, detail, when)
             case events.Superseded(_, generation, reason):
@@ -274,7 +278,7 @@ class Agents:
             fresh=fresh.get(agent.host, False),
             age=None if agent.when is None else max(0.0, now - agent.when),
             generation=agent.generation,
-            hops=agent.hops,
+            hops=agent.hops if agent.counted or agent.hops or not agent.finished else None,
             served=agent.served,
             to=agent.to,
             state=agent.state,
@@ -343,7 +347,7 @@ def _copy(agent: _Agent, host: str, known: Known, now: float) -> None:
     is_newer = (generation, sequence) > (agent.generation, agent.sequence) or agent.when is None
     match known.state:
         case "RUN":
-            agent.hops = known.hops
+            agent.hops, agent.counted = known.hops, True
             if is_newer or agent.host != host or agent.to:
                 agent.runs(host, generation, sequence, now)
         case "FROZEN" | "PREPARED":
@@ -356,6 +360,9 @@ def _copy(agent: _Agent, host: str, known: Known, now: float) -> None:
             if is_newer:
                 agent.runs(known.where, generation, sequence, now)
         case "EXITED":
+            if known.where in ("", host):
+                # Who has only heard of the end does not know how often it went on.
+                agent.hops, agent.counted = max(agent.hops, known.hops), True
             agent.finished, agent.detail = known.outcome or "done", known.detail
             agent.generation, agent.host, agent.to, agent.doubt = generation, known.where or host, "", ""
             agent.stands("")

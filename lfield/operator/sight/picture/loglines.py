@@ -21,10 +21,9 @@ Words = Printed | Logged | Skipped
 
 
 class Said(NamedTuple):
-    """What was said on a host at its time `at` (Unix, s), which was `when` by our monotonic clock."""
+    """What was said on a host, at `when` by our monotonic clock."""
 
     host: str
-    at: float
     when: float
     what: Words
 
@@ -43,7 +42,6 @@ def lines_of(text: str) -> list[str]:
 class _Line:
     serial: int
     host: str
-    at: float
     when: float
     agent: str
     text: str
@@ -70,9 +68,15 @@ class Pieces:
 
 
 class LogLines:
-    """The last lines of all hosts, in the order in which they came here."""
+    """The last lines of all hosts, in the order in which they came here.
 
-    def __init__(self) -> None:
+    By so many seconds (`ahead`) Unix time is ahead of our monotonic clock.
+    """
+
+    def __init__(self, ahead: float) -> None:
+        self._ahead = ahead
+        #: When each host said its last line. What is known of its clock gets better: no line goes back.
+        self._last: dict[str, float] = {}
         self._lines: deque[_Line] = deque(maxlen=MOST_LINES)
         self._serial = 0
         self._pieces = Pieces()
@@ -105,13 +109,21 @@ class LogLines:
                 self._line(said, "", left_out("lines", count))
 
     def _line(self, said: Said, agent: str, text: str) -> None:
+        when = self._last[said.host] = max(said.when, self._last.get(said.host, said.when))
         for line in lines_of(text):
             self._serial += 1
-            self._lines.append(_Line(self._serial, said.host, said.at, said.when, agent, line))
+            self._lines.append(_Line(self._serial, said.host, when, agent, line))
 
     def seen(self, now: float) -> tuple[LogLine, ...]:
         """All of them, the oldest first."""
         return tuple(
-            LogLine(line.serial, line.host, line.at, max(0.0, now - line.when), line.agent, line.text)
+            LogLine(
+                line.serial,
+                line.host,
+                line.when + self._ahead,
+                max(0.0, now - line.when),
+                line.agent,
+                line.text,
+            )
             for line in self._lines
         )

@@ -52,10 +52,10 @@ class _Press:
                 }
                 if answer.trouble:
                     troubles[name] = answer.trouble
-            elif is_as_wanted:
-                done.append(name)
             elif answer is None:
                 asked.append(name)
+            elif is_as_wanted:
+                done.append(name)
             else:
                 unreached[name] = _HEARD_NOW if host is not None and host.linked else answer
         age = max(0.0, now - self.when)

@@ -74,14 +74,15 @@ class _Host:
 
 
 class Picture:
-    """The picture of one team."""
+    """The picture of one team. By so many seconds (`ahead`) Unix time is ahead of our monotonic clock, here
+    and as long as this lasts."""
 
-    def __init__(self, roll: Roll) -> None:
+    def __init__(self, roll: Roll, ahead: float = 0.0) -> None:
         self.roll = roll
         self.revision = 0
         self._hosts = {host: _Host() for host in roll.hosts}
         self._agents, self._devices = Agents(roll), Devices(roll)
-        self._log, self._curves, self._presses = LogLines(), Curves(), Presses()
+        self._log, self._curves, self._presses = LogLines(ahead), Curves(), Presses()
         self._origin = roll.origin
 
     # --- in -------------------------------------------------------------------------------------------
@@ -127,7 +128,7 @@ class Picture:
             host, what = self._host(name), event.what
             comes = host.begins is not None and event.number > host.begins
             if isinstance(what, Words) and not (comes and host.incarnation == incarnation):
-                told.append(Said(name, event.at, when, what))
+                told.append(Said(name, when, what))
                 _left_out(host, what)
         self._log.begin(told)
 
@@ -184,7 +185,7 @@ class Picture:
         if isinstance(what, AgentEvent):
             self._agents.told(name, what, when, is_past=is_past)
         elif isinstance(what, Words):
-            self._log.add(Said(name, event.at, when, what))
+            self._log.add(Said(name, when, what))
             _left_out(host, what)
         elif is_past:
             _began(host, what, when)
@@ -320,6 +321,7 @@ class Picture:
             tuple(confirmed),
             unconfirmed,
             unreached,
+            asked,
             before,
         )
 

@@ -20,7 +20,7 @@ export default {
       <ul>
         <li v-for="(why, host) in stop.unreached" :key="'h' + host" class="bad loud" :data-testid="'unreached-' + host"><b>{{ host }}</b> NOT REACHED: {{ why }}</li>
         <li v-for="(why, device) in stop.unconfirmed" :key="'u' + device" class="bad" :data-testid="'unconfirmed-' + device"><b>{{ device }}</b> NOT CONFIRMED: {{ why }}</li>
-        <li v-for="host in asked" :key="'a' + host" class="bad"><b>{{ host }}</b> is asked, and has not answered yet</li>
+        <li v-for="host in stop.asked" :key="'a' + host" class="bad" :data-testid="'asked-' + host"><b>{{ host }}</b> is asked, and has not answered yet</li>
         <li v-for="device in stop.confirmed" :key="'c' + device" :data-testid="'confirmed-' + device"><b>{{ device }}</b> safe, {{ doing(device) }}</li>
         <li v-for="(devices, host) in stop.before" :key="'b' + host" class="old" :data-testid="'before-' + host"><b>{{ host }}</b> is not heard; {{ silence(host) }} it had stopped{{ devices.length ? ", " + devices.join(", ") + " safe" : "" }}</li>
       </ul>
@@ -46,11 +46,8 @@ export default {
       const known = (press) => this.look?.orders.some((order) => order.number > press.after);
       return Object.fromEntries(Object.entries(this.pending).filter(([, press]) => !known(press)));
     },
-    asked() {
-      return this.look.orders.find((order) => order.order === "stop")?.asked ?? [];
-    },
     missing() {
-      return count(this.stop.unreached) + count(this.stop.unconfirmed) + this.asked.length;
+      return count(this.stop.unreached) + count(this.stop.unconfirmed) + this.stop.asked.length;
     },
     shown() {
       return this.look && (this.look.stands || this.missing > 0 || count(this.stop.before) > 0);

@@ -6,6 +6,12 @@ import * as words from "./words.js";
 // A hop is drawn for so long, in seconds, paler and paler.
 const HOP_SHOWN = 20;
 const GRID_AT_LEAST = 48;
+// Lines of latitude and longitude are further apart: each says which it is.
+const DEGREES_AT_LEAST = 96;
+// A coordinator is drawn so far below its anchor, in pixels, and the next one below that; half of it is this.
+const BELOW = 14;
+const EACH_BELOW = 13;
+const HALF = 7;
 
 function metresEach(map) {
   const size = map.getSize();
@@ -13,9 +19,14 @@ function metresEach(map) {
   return map.distance(a, b) / 100;
 }
 
+function degreesEach(map) {
+  const y = map.getSize().y / 2;
+  return (map.containerPointToLatLng([100, y]).lng - map.containerPointToLatLng([0, y]).lng) / 100;
+}
+
 function roundStep(metres) {
   const power = 10 ** Math.floor(Math.log10(metres));
-  return [1, 2, 5, 10].map((step) => step * power).find((step) => step >= metres);
+  return [1, 2, 5, 10].map((step) => step * power).find((step) => step >= metres) ?? 10 * power;
 }
 
 // Names that would lie on others are left out, but for that of the vehicle that is looked at.
@@ -42,7 +53,7 @@ export default {
             <path d="M0 0 L8 4 L0 8 z" class="tip"/>
           </marker>
         </defs>
-        <g v-if="grid" class="grid"><path :d="grid.path"/><path class="axes" :d="grid.axes"/></g>
+        <g v-if="grid" class="grid"><path :d="grid.path"/><path class="axes" :d="grid.axes"/><text v-for="label in grid.labels" :key="label.text" :x="label.x" :y="label.y">{{ label.text }}</text></g>
         <path v-for="hop in hops" :key="hop.key" class="hop" :d="hop.path" :style="{opacity: hop.opacity}"
               marker-end="url(#tip)"/>
         <g v-for="v in placed" :key="v.agent" :data-testid="'marker-' + v.agent" class="marker"
@@ -71,10 +82,7 @@ export default {
   data: () => ({ moved: 0, follows: true }),
   computed: {
     earth() {
-      // The local frame is the sharper one; the Earth is for a background, and for who says nothing else.
-      const somewhere = this.look.vehicles.filter((v) => v.place || v.earth);
-      const onEarth = somewhere.length > 0 && somewhere.every((v) => v.earth);
-      return onEarth && (this.tiles !== null || somewhere.some((v) => !v.place));
+      return words.geographic(this.look.vehicles);
     },
     placed() {
       if (this.moved < 0 || !this.map) return [];
@@ -85,8 +93,18 @@ export default {
       if (this.moved < 0 || !this.map) return [];
       const known = new Set(this.placed.map((v) => v.host));
       const bare = this.look.hosts.filter((host) => !known.has(host.host));
-      const bottom = this.map.getSize().y - 40;
-      return bare.slice(0, 12).map((host, n) => ({ ...host, x: 20, y: bottom - 18 * n }));
+      let bottom = this.map.getSize().y - 13;
+      return bare.slice(0, 12).map((host) => {
+        const y = bottom - this.below(host.host);
+        bottom = y - 18;
+        return { ...host, x: 20, y };
+      });
+    },
+    // How many coordinators are drawn at each host.
+    guests() {
+      const found = {};
+      for (const c of this.look.coordinators) if (!c.finished) found[c.host] = (found[c.host] ?? 0) + 1;
+      return found;
     },
     anchors() {
       const found = {};
@@ -100,7 +118,7 @@ export default {
       return here.map((c) => {
         const at = this.anchors[c.host];
         const nth = (taken[c.host] = (taken[c.host] ?? 0) + 1);
-        return { ...c, x: at.x, y: at.y + 14 + 13 * nth };
+        return { ...c, x: at.x, y: at.y + BELOW + EACH_BELOW * nth };
       });
     },
     hops() {
@@ -116,19 +134,26 @@ export default {
       return Object.values(drawn);
     },
     grid() {
-      if (this.moved < 0 || !this.map || this.earth) return null;
+      if (this.moved < 0 || !this.map) return null;
       const size = this.map.getSize();
-      const step = roundStep(GRID_AT_LEAST * metresEach(this.map));
+      const step = this.earth ? roundStep(DEGREES_AT_LEAST * degreesEach(this.map)) : roundStep(GRID_AT_LEAST * metresEach(this.map));
       const [low, high] = [this.map.containerPointToLatLng([0, size.y]), this.map.containerPointToLatLng([size.x, 0])];
       const lines = (from, to) => {
         const found = [];
         for (let n = Math.ceil(from / step); n * step <= to; n++) found.push(n * step);
         return found;
       };
-      const across = (north) => `M0 ${this.pixel([north, 0]).y.toFixed(1)}H${size.x}`;
-      const up = (east) => `M${this.pixel([0, east]).x.toFixed(1)} 0V${size.y}`;
-      const path = lines(low.lat, high.lat).map(across).join("") + lines(low.lng, high.lng).map(up).join("");
-      return { path, axes: across(0) + up(0) };
+      const across = (north) => `M0 ${this.pixel([north, low.lng]).y.toFixed(1)}H${size.x}`;
+      const up = (east) => `M${this.pixel([low.lat, east]).x.toFixed(1)} 0V${size.y}`;
+      const [rows, columns] = [lines(low.lat, high.lat), lines(low.lng, high.lng)];
+      const path = rows.map(across).join("") + columns.map(up).join("");
+      if (!this.earth) return { path, axes: across(0) + up(0), labels: [] };
+      const places = Math.max(0, -Math.floor(Math.log10(step)));
+      const north = (n) => ({ text: words.degrees(n, places, "N", "S"), x: 4, y: this.pixel([n, low.lng]).y - 3 });
+      const east = (e) => ({ text: words.degrees(e, places, "E", "W"), x: this.pixel([low.lat, e]).x + 3, y: size.y - 4 });
+      // In that corner is the scale.
+      const labels = [...rows.map(north), ...columns.map(east).filter((label) => label.x < size.x - 160)];
+      return { path, axes: "", labels };
     },
   },
   watch: {
@@ -149,6 +174,11 @@ export default {
     pixel(at) {
       const point = this.map.latLngToContainerPoint(at);
       return { x: Math.round(point.x * 10) / 10, y: Math.round(point.y * 10) / 10 };
+    },
+    // So many pixels below a host are taken by what is drawn at it.
+    below(host) {
+      const guests = this.guests[host] ?? 0;
+      return guests ? BELOW + EACH_BELOW * guests + HALF : 0;
     },
     // From one to the other in a bow, so that there and back are two lines.
     bow(a, b) {
@@ -192,17 +222,20 @@ export default {
       this.follows = true;
       this.fit();
     },
-    // Everybody is in sight; it moves only when somebody would not be, or there is far too much room.
+    // Everybody is in sight, with the coordinators below them; it moves only when somebody would not be, or there is far too much room.
     fit() {
       const spots = this.look.vehicles.map((v) => this.spot(v)).filter(Boolean);
       if (!this.map || !spots.length) return;
       const team = L.latLngBounds(spots);
       const reach = this.earth ? 4e-5 : 3;
       const least = L.latLngBounds(spots).extend([team.getNorth() + reach, team.getEast() + reach]).extend([team.getSouth() - reach, team.getWest() - reach]);
-      const seen = this.map.getBounds();
+      // Below whoever has coordinators there is room for them.
+      const below = Math.max(0, ...this.look.vehicles.filter((v) => this.spot(v)).map((v) => this.below(v.host)));
+      const size = this.map.getSize();
+      const seen = L.latLngBounds(this.map.containerPointToLatLng([0, size.y - below]), this.map.containerPointToLatLng([size.x, 0]));
       const room = (seen.getNorth() - seen.getSouth()) / (least.getNorth() - least.getSouth());
       const wide = (seen.getEast() - seen.getWest()) / (least.getEast() - least.getWest());
-      if (!seen.contains(least) || Math.min(room, wide) > 2.2) this.map.fitBounds(least.pad(0.2), { animate: false });
+      if (!seen.contains(least) || Math.min(room, wide) > 2.2) this.map.fitBounds(least.pad(0.2), { animate: false, paddingBottomRight: [0, below] });
     },
   },
   created() {

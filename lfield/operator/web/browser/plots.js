@@ -35,7 +35,8 @@ function options(kind, curves, inks) {
       showSymbol: curve.points.length === 1,
       lineStyle: { width: 1.5, color: inks[curve.of] },
       itemStyle: { color: inks[curve.of] },
-      data: curve.points.map(([ago, value]) => [ago, value * kind.scale]),
+      // Points have ages, and time goes to the right.
+      data: curve.points.map(([age, value]) => [-age, value * kind.scale]),
     })),
   };
 }

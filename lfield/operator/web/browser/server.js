@@ -24,8 +24,9 @@ function post(path, says) {
   return answerOf(path, { method: "POST", headers, body: JSON.stringify(says) }, LONG_PATIENCE);
 }
 
-// Whoever presses a button hears what came of it; nothing is kept and sent later.
-export const act = (action) => post("act", { action });
+// Whoever presses a button hears what came of it; nothing is kept and sent later. `pressed` is when that was, by
+// the server's clock (buttons.py): what is too old by then is refused, but for what makes a team safer.
+export const act = (action, pressed) => post("act", { action, pressed });
 
 export const ask = (text) => post("query", { text });
 

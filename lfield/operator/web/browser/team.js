@@ -1,15 +1,17 @@
 // The whole page: STOP and the other buttons, what stands of a stop, map, vehicles, coordinators, hosts, log,
 // questions, plots. It draws the last look, and says so when that is old.
-import { Halt, Plots, TeamMap, act, ask, looks, words } from "lfield-watch";
+import { Halt, Plots, TeamLog, TeamMap, act, ask, looks, words } from "lfield-watch";
 
 // Looks that are older than this, in milliseconds, are told to be old.
 const OLD = 2000;
-const LINES_KEPT = 400;
 
 const QUESTIONS = {
   lift: "Lift the stop? Programs may then release their devices, and vehicles may move.",
   resume: "Resume the mission? Agents go on, and vehicles may move.",
 };
+
+// What lets vehicles move again: late, it is refused (buttons.py).
+const RELEASES = ["lift", "resume"];
 
 // What undoes one another.
 const PAIRS = [["stop", "lift"], ["pause", "resume"]];
@@ -17,7 +19,7 @@ const pairOf = (order) => PAIRS.find((pair) => pair.includes(order));
 const without = (table, names) => Object.fromEntries(Object.entries(table).filter(([name]) => !names.includes(name)));
 
 export default {
-  components: { TeamMap, Halt, Plots },
+  components: { TeamMap, Halt, Plots, TeamLog },
   props: { title: String, resourcePath: String },
   template: `
   <div class="watch" :class="{stale, halted: look && (look.stands || Object.keys(look.stop.unreached).length)}">
@@ -45,9 +47,7 @@ export default {
       </section>
       <section class="panel log" aria-label="Log">
         <h2>Log</h2>
-        <div ref="log" class="lines" data-testid="log" role="log" tabindex="0" @scroll="scrolled">
-          <p v-for="line in log" :key="line.serial"><time>{{ clock(line.at) }}</time><b>{{ line.host }}</b><span>{{ said(line) }}</span></p>
-        </div>
+        <team-log :fresh="fresh" :most="look.lines"/>
         <p v-for="loss in losses" :key="loss" class="bad">{{ loss }}</p>
       </section>
       </div>
@@ -55,7 +55,7 @@ export default {
       <section class="panel vehicles" aria-label="Vehicles">
         <h2>Vehicles</h2>
         <table>
-          <thead><tr><th scope="col">Vehicle</th><th scope="col">State</th><th scope="col" class="number">Height</th><th scope="col" class="number">Battery</th><th scope="col" class="number">Link</th><th scope="col" class="number wide">East, north, m</th></tr></thead>
+          <thead><tr><th scope="col">Vehicle</th><th scope="col">State</th><th scope="col" class="number">Height</th><th scope="col" class="number">Battery</th><th scope="col" class="number">Link</th><th scope="col" class="number wide">{{ geographic ? "Latitude, longitude" : "East, north, m" }}</th></tr></thead>
           <tbody>
             <tr v-for="v in look.vehicles" :key="v.agent" :data-testid="'vehicle-' + v.agent"
                 :class="{old: !v.fresh, selected: v.agent === selected}" @mouseenter="selected = v.agent" @mouseleave="selected = ''">
@@ -65,7 +65,7 @@ export default {
               <td class="number" :data-testid="'height-' + v.agent">{{ metres(v.height) }}</td>
               <td class="number" :class="{low: v.battery !== null && v.battery < 0.2}">{{ share(v.battery) }}</td>
               <td class="number" :class="{low: v.link !== null && v.link > 3}">{{ age(v.link) }}</td>
-              <td class="number wide" :data-testid="'place-' + v.agent">{{ place(v) }}</td>
+              <td class="number wide" :data-what="geographic ? 'latitude, longitude' : 'east, north, m'" :title="geographic ? local(v) : ''" :data-testid="'place-' + v.agent">{{ place(v, geographic) }}</td>
             </tr>
           </tbody>
         </table>
@@ -78,7 +78,7 @@ export default {
           <p v-if="c.line || c.waits" class="line"><code v-if="c.line">{{ c.file }}:{{ c.line }}</code><template v-if="c.waits"> waits for <code>{{ c.waits }}</code></template></p>
           <p v-if="c.doubt" class="bad">{{ c.doubt }}</p>
           <p v-if="c.finished && c.detail" class="bad">{{ c.detail }}</p>
-          <p class="hops"><span class="hop">{{ c.hops }} hop{{ c.hops === 1 ? "" : "s" }}</span><span v-for="hop in c.trail.slice(-3).reverse()" :key="hop.number" class="hop">{{ hop.of }} → {{ hop.to }}{{ hop.failed ? ", failed" : hop.seconds === null ? "" : ", " + duration(hop.seconds) }}</span></p>
+          <p class="hops"><span v-if="c.hops !== null" class="hop">{{ c.hops }} hop{{ c.hops === 1 ? "" : "s" }}</span><span v-for="hop in c.trail.slice(-3).reverse()" :key="hop.number" class="hop">{{ hop.of }} → {{ hop.to }}{{ hop.failed ? ", failed" : hop.seconds === null ? "" : ", " + duration(hop.seconds) }}</span></p>
         </article>
         <p v-if="!look.coordinators.length" class="none">No coordinator was heard of yet.</p>
       </section>
@@ -97,11 +97,12 @@ export default {
           <button type="submit" :disabled="!asked.trim() || asking">Ask</button>
         </form>
         <div v-if="answer" class="answer" data-testid="answer" role="status">
+          <p class="why">{{ answer.question }}, asked {{ age(Math.max(0, now - answer.taken) / 1000) }} ago</p>
           <pre v-if="answer.mistakes" class="bad">{{ answer.mistakes }}</pre>
           <p v-for="(why, host) in answer.unheard" :key="host" class="bad">{{ host }}: {{ why }}</p>
           <template v-for="found in answer.found" :key="found.primitive">
             <h3>{{ found.primitive }}<small>{{ found.offers.length ? found.count + " can" : "nobody can" }}</small></h3>
-            <ol v-if="found.offers.length"><li v-for="offer in found.offers"><b>{{ offer.agent }}</b> at {{ offer.host }}, {{ offer.how }}, score {{ offer.score.toFixed(3) }}<small>{{ [...offer.facts, ...offer.parts].join(", ") }}</small></li></ol>
+            <ol v-if="found.offers.length"><li v-for="offer in found.offers" :class="{old: silentOf(offer).length}" :data-testid="'offer-' + offer.agent"><b>{{ offer.agent }}</b> at {{ offer.host }}, {{ offer.how }}, score {{ offer.score.toFixed(3) }}<small>{{ [...offer.facts, ...offer.parts].join(", ") }}</small><template v-if="silentOf(offer).length"> {{ silentOf(offer).join(", ") }} not heard any more</template></li></ol>
             <p v-for="note in found.notes">{{ note }}</p>
             <pre v-if="found.refusals" class="why">{{ found.refusals }}</pre>
           </template>
@@ -123,7 +124,7 @@ export default {
     </dialog>
   </div>`,
   data: () => ({
-    look: null, log: [], taken: 0, now: 0, trouble: "", pending: {}, failures: {}, selected: "",
+    look: null, fresh: [], at: null, taken: 0, now: 0, trouble: "", pending: {}, failures: {}, selected: "",
     asked: "", asking: false, answer: null, sure: "",
   }),
   computed: {
@@ -145,9 +146,10 @@ export default {
       if (!this.look) return "";
       const linked = this.look.hosts.filter((host) => host.linked).length;
       const said = [`${linked} of ${this.look.hosts.length} hosts linked`];
-      const { hosts, unreached } = this.look.stop;
+      const { hosts, unreached, asked } = this.look.stop;
       const missing = Object.keys(unreached);
-      if (hosts.length) said.push(hosts.length === linked ? "STOPPED" : `STOPPED at ${hosts.join(", ")}`);
+      if (hosts.length) said.push(hosts.length === linked && !asked.length ? "STOPPED" : `STOPPED at ${hosts.join(", ")}`);
+      if (asked.length) said.push(`STOP: ${asked.join(", ")} asked, no answer yet`);
       if (missing.length) said.push(`STOP has NOT REACHED ${missing.join(", ")}`);
       if (this.look.paused.length) said.push(`paused at ${this.look.paused.join(", ")}`);
       if (this.stale) said.push(`last look ${words.age((this.now - this.taken) / 1000)} ago`);
@@ -156,13 +158,16 @@ export default {
     sureWords() {
       return QUESTIONS[this.sure] ?? "";
     },
+    geographic() {
+      return words.geographic(this.look.vehicles);
+    },
     losses() {
       const kinds = (host) => Object.entries(host.lost).map(([kind, count]) => `${count} ${kind}`).join(", ");
       return this.look.hosts.filter((host) => Object.keys(host.lost).length).map((host) => `${host.host}: lost on the way: ${kinds(host)}`);
     },
   },
   methods: {
-    age: words.age, metres: words.metres, share: words.share, place: words.place, clock: words.clock,
+    age: words.age, metres: words.metres, share: words.share, place: words.place, local: words.local,
     duration: words.duration,
     lamp(v) {
       if (!v.fresh) return "gone";
@@ -173,10 +178,6 @@ export default {
       const was = d.fresh ? "" : "was ";
       if (!d.confirmed) return `${was}not confirmed`;
       return `${was}safe, ${d.moving || "at rest"}`;
-    },
-    // Many programs say who speaks.
-    said({ agent, text }) {
-      return agent && !text.startsWith(`${agent}:`) ? `${agent}: ${text}` : text;
     },
     where(c) {
       if (c.finished) return `${c.finished} at ${c.host}`;
@@ -195,34 +196,27 @@ export default {
       if (host.clock !== null && Math.abs(host.clock) > 1) parts.push(`its clock is ${words.age(Math.abs(host.clock))} ${host.clock > 0 ? "ahead" : "behind"}`);
       return parts.join(" · ");
     },
-    take({ look, log }) {
+    take({ at, look, log }) {
       // NiceGUI's own connection would load the page anew where it times out, and what was known last, and STOP,
       // would be gone. Nothing here needs it.
       window.socket?.disconnect();
       this.look = look;
+      this.at = at;
       this.taken = this.now = performance.now();
       this.trouble = "";
       this.known();
-      if (!log.length) return;
-      this.log = [...this.log, ...log].slice(-LINES_KEPT);
-      this.$nextTick(() => {
-        const lines = this.$refs.log;
-        if (lines && this.atEnd !== false) lines.scrollTop = lines.scrollHeight;
-      });
-    },
-    scrolled() {
-      const lines = this.$refs.log;
-      this.atEnd = lines.scrollHeight - lines.scrollTop - lines.clientHeight < 24;
+      if (log.length) this.fresh = log;
     },
     async press(order) {
       const press = { since: performance.now(), after: this.newest([...PAIRS.flat()]) };
+      const pressed = this.at === null ? null : this.at + (press.since - this.taken) / 1000;
       this.now = press.since;
       this.pending = { ...this.pending, [order]: press };
       this.failures = without(this.failures, pairOf(order));
       try {
-        await act(order);
+        await act(order, pressed);
       } catch (error) {
-        this.failures = { ...this.failures, [order]: { why: error.message, refused: error.refused, after: press.after } };
+        this.failures = { ...this.failures, [order]: { why: error.message, refused: error.refused, after: press.after, pressed } };
         this.known();
       }
       if (this.pending[order]?.since === press.since) this.pending = without(this.pending, [order]);
@@ -232,10 +226,22 @@ export default {
       const numbers = this.look?.orders.filter((order) => kinds.includes(order.order)).map((order) => order.number) ?? [];
       return Math.max(0, ...numbers);
     },
-    // Of what the server has heard of all the same, the look says what came.
+    // Of what the server has heard of all the same, the look says what came; what it has not heard of in time it
+    // refuses.
     known() {
       const heard = Object.entries(this.failures).filter(([order, failure]) => this.newest(pairOf(order)) > failure.after);
       if (heard.length) this.failures = without(this.failures, heard.map(([order]) => order));
+      for (const order of RELEASES) {
+        const failure = this.failures[order];
+        if (!failure || failure.refused || failure.pressed === null || this.at <= failure.pressed + this.look.prompt) continue;
+        const why = "it did not reach the server in time; look, and press it again";
+        this.failures = { ...this.failures, [order]: { ...failure, why, refused: true } };
+      }
+    },
+    // The hosts of an offer that nobody hears any more.
+    silentOf(offer) {
+      const heard = this.look.hosts.filter((host) => host.linked).map((host) => host.host);
+      return offer.hosts.filter((host) => !heard.includes(host));
     },
     confirm(order) {
       this.sure = order;
@@ -246,11 +252,12 @@ export default {
       if (this.$refs.sure.returnValue === "yes") this.press(this.sure);
     },
     async question() {
+      const question = this.asked;
       this.asking = true;
       try {
-        this.answer = await ask(this.asked);
+        this.answer = { ...(await ask(question)), taken: performance.now() };
       } catch (error) {
-        this.answer = { mistakes: error.message, unheard: {}, found: [] };
+        this.answer = { question, mistakes: error.message, unheard: {}, found: [], taken: performance.now() };
       }
       this.asking = false;
     },

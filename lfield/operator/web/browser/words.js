@@ -25,11 +25,26 @@ export function duration(seconds) {
   return seconds < 0.01 ? `${(seconds * 1000).toPrecision(2)} ms` : `${Math.round(seconds * 1000)} ms`;
 }
 
-export function place(vehicle) {
-  const { place, earth } = vehicle;
+// Whether places are told in degrees: when everybody who is anywhere knows where on the Earth.
+export function geographic(vehicles) {
+  const somewhere = vehicles.filter((v) => v.place || v.earth);
+  return somewhere.length > 0 && somewhere.every((v) => v.earth);
+}
+
+export function place({ place, earth }, inDegrees) {
+  if (earth && (inDegrees || !place)) return `${earth[0].toFixed(6)}°, ${earth[1].toFixed(6)}°`;
   if (place) return `${place[1].toFixed(1)}, ${place[0].toFixed(1)}`;
-  if (earth) return `${earth[0].toFixed(5)}°, ${earth[1].toFixed(5)}°`;
   return "no position";
+}
+
+// The same in the frame of the team.
+export function local({ place }) {
+  return place ? `${place[1].toFixed(1)} m east, ${place[0].toFixed(1)} m north in the frame of the team` : "";
+}
+
+// A latitude or longitude: "47.40005° N".
+export function degrees(value, places, positive, negative) {
+  return `${Math.abs(value).toFixed(places)}° ${value < 0 ? negative : positive}`;
 }
 
 export function clock(at) {

@@ -1,0 +1,47 @@
+// The log: what programs and hosts say, on one time line, the newest last.
+import * as words from "./words.js";
+
+// By the time, and of one time as they came.
+const inOrder = (a, b) => a.at - b.at || a.serial - b.serial;
+
+export default {
+  props: { fresh: Array, most: Number },
+  template: `
+    <div ref="lines" class="lines" data-testid="log" role="log" tabindex="0" @scroll="scrolled">
+      <template v-for="line in log" :key="line.serial">
+        <p v-if="line.missing" class="bad" data-testid="log-gap">{{ line.missing }} line{{ line.missing === 1 ? " is" : "s are" }} missing here: nobody looked</p>
+        <p><time>{{ clock(line.at) }}</time><b>{{ line.host }}</b><span>{{ said(line) }}</span></p>
+      </template>
+    </div>`,
+  data: () => ({ log: [] }),
+  watch: {
+    fresh: { immediate: true, handler: "take" },
+  },
+  methods: {
+    clock: words.clock,
+    // Many programs say who speaks.
+    said({ agent, text }) {
+      return agent && !text.startsWith(`${agent}:`) ? `${agent}: ${text}` : text;
+    },
+    take(fresh) {
+      if (!fresh.length) return;
+      // The server keeps as many as a page: what a page has slept through for longer is gone.
+      const missing = this.last ? fresh[0].serial - this.last - 1 : 0;
+      this.last = fresh.at(-1).serial;
+      const added = fresh.map((line, n) => (n || !missing ? line : { ...line, missing }));
+      this.log = [...this.log, ...added].slice(-this.most).sort(inOrder);
+      this.$nextTick(() => {
+        const lines = this.$refs.lines;
+        if (lines && this.atEnd) lines.scrollTop = lines.scrollHeight;
+      });
+    },
+    scrolled() {
+      const lines = this.$refs.lines;
+      this.atEnd = lines.scrollHeight - lines.scrollTop - lines.clientHeight < 24;
+    },
+  },
+  created() {
+    this.last = 0;
+    this.atEnd = true;
+  },
+};

@@ -1,0 +1,86 @@
+"""What was pressed while the server did not run, by a browser that has given up since."""
+
+from __future__ import annotations
+
+import http.client
+import json
+import os
+import signal
+import time
+from contextlib import closing
+from urllib.parse import urlsplit
+
+import pytest
+
+from lfield.clock import SystemClock
+from lfield.operator.web.buttons import PROMPT
+
+pytestmark = pytest.mark.process
+
+
+class Client:
+    """A browser's place at a page: it presses buttons, each on a connection of its own."""
+
+    def __init__(self, page) -> None:
+        link = urlsplit(page.link)
+        self.address, self.cookie = link.netloc, ""
+        with closing(self.asks("GET", f"/?{link.query}")) as made:
+            self.cookie = made.getresponse().headers["set-cookie"].partition(";")[0]
+        page.line()
+
+    def asks(self, method: str, path: str, **says: object) -> http.client.HTTPConnection:
+        made = http.client.HTTPConnection(self.address, timeout=60.0)
+        headers = {"Cookie": self.cookie, "Origin": f"http://{self.address}"}
+        made.request(method, path, json.dumps(says) if says else None, headers)
+        return made
+
+    def presses(self, action: str, pressed: float | None) -> tuple[int, str]:
+        with closing(self.asks("POST", "/act", action=action, pressed=pressed)) as made:
+            answer = made.getresponse()
+            return answer.status, answer.read().decode()
+
+    @property
+    def look(self) -> dict[str, object]:
+        with closing(self.asks("GET", "/look")) as made:
+            return json.loads(made.getresponse().read())
+
+
+@pytest.fixture
+def page(page_of):
+    return page_of()
+
+
+def test_a_press_is_dated_by_the_clock_of_the_looks(page) -> None:
+    client = Client(page)
+    at = client.look["at"]
+    assert abs(at - SystemClock().monotonic()) < 60.0
+    assert client.presses("resume", at - 2 * PROMPT)[0] == 409
+    status, why = client.presses("lift", at - 31.0)
+    assert status == 409
+    assert "after it was pressed, which is too late; look, and press it again" in why
+    assert client.presses("lift", None)[0] == 409
+    assert client.presses("pause", at - 31.0)[0] == 200
+    assert page.line() == "pressed pause"
+    assert client.presses("stop", at - 31.0)[0] == 200
+    assert page.line() == "pressed stop"
+    while not (reason := client.look["look"]["stop"]["reason"]):
+        pass
+    assert "it came 3" in reason
+    assert client.presses("lift", client.look["at"])[0] == 200
+    assert page.line() == "pressed lift"
+
+
+def test_a_stop_of_a_browser_that_has_given_up_is_done_and_a_lift_is_not(page) -> None:
+    client = Client(page)
+    at = client.look["at"]
+    os.kill(page.process.pid, signal.SIGSTOP)
+    try:
+        for action in ("lift", "stop", "resume"):
+            client.asks("POST", "/act", action=action, pressed=at - PROMPT).close()
+        # All that was sent has arrived: this computer is the other end.
+        time.sleep(0.1)
+    finally:
+        os.kill(page.process.pid, signal.SIGCONT)
+    assert page.line() == "pressed stop"
+    assert client.presses("pause", None)[0] == 200
+    assert page.line() == "pressed pause", "nothing else was done meanwhile"
