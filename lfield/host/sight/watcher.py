@@ -39,8 +39,7 @@ class Watcher:
             self._after = stream.latest
         else:
             self._after = min(watch.after, stream.latest) if watch.incarnation == life else 0
-        #: The newest when it began, or last fell behind.
-        #: Of what happens often it hears what follows `_often_after`.
+        #: The newest state when it began or fell behind; and the one after which it hears what happens often.
         self._past, self._often_after = stream.latest, 0
         self._snapshot = watch.incarnation != life or self._after < stream.forgotten
         #: Whether a snapshot was the last that it was sent.
