@@ -65,11 +65,13 @@ def random_calculation(dice: random.Random) -> Piece:
 
 
 def _given(dice: random.Random, values: int) -> list[Piece]:
+    """Both zeros are always there: functions of two numbers tell them apart only together."""
     names = {"v": "int", "w": "real", "texts": "string"}
+    zeros = {"w[0]": "0.0", "w[1]": "(-0.0)"}
     return [
-        Piece("", [f"{name}[{at}] = {_value(dice, kind)};"])
+        Piece("", [f"{place} = {zeros.get(place) or _value(dice, kind)};"])
         for name, kind in names.items()
-        for at in range(values)
+        for place in (f"{name}[{at}]" for at in range(values))
     ]
 
 

@@ -103,7 +103,9 @@ class Expressions:
         variables: dict[str, tuple[str, ...]],
         calls: dict[str, tuple[str, ...]],
     ) -> None:
-        self.dice, self._variables, self._calls = dice, variables, calls
+        self.dice, self._variables = dice, variables
+        #: By type, the forms of calls that may stand here.
+        self.calls = calls
         self._depth = dice.choice((1, 2, 2, 3))
         #: Variables of loops, which may be read only.
         self.counters: list[str] = []
@@ -114,8 +116,8 @@ class Expressions:
         chance = self.dice.random()
         if depth <= 0 or chance < 0.35:
             return self._leaf(kind)
-        if chance < 0.42 and kind in self._calls:
-            return self.form(kind, self.dice.choice(self._calls[kind]), depth - 1)
+        if chance < 0.42 and kind in self.calls:
+            return self.form(kind, self.dice.choice(self.calls[kind]), depth - 1)
         return self.form(kind, self.dice.choice(FORMS[kind]), depth - 1)
 
     def form(self, kind: str, row: str, depth: int) -> Piece:

@@ -111,7 +111,7 @@ class _Maker:
         self.methods = {unit: self._names(unit) for unit in ("Node", "Store", "Walker")}
 
     def _names(self, unit: str) -> dict[str, tuple[str, ...]]:
-        kinds = self.dice.choices(_KINDS, k=self.dice.choice((1, 1, 2) if unit == "Node" else (0, 1)))
+        kinds = self.dice.choices(_KINDS, k=self.dice.choice((1, 1, 2) if unit == "Node" else (0, 1, 1)))
         numbers = count()
         found: dict[str, tuple[str, ...]] = {}
         for kind in kinds:
@@ -137,7 +137,7 @@ class _Maker:
 
     def _calls(self, unit: str) -> dict[str, tuple[str, ...]]:
         """Calls by type, as forms: of the own methods, and of objects."""
-        found: dict[str, tuple[str, ...]] = {"int": ("o0.dive(#)|int",)}
+        found: dict[str, tuple[str, ...]] = {"int": ("o0.dive(#)|int",), "Node": ("o1.link(#, #)|int Node",)}
         if unit == "Walker":
             for kind, forms in _KNOWN.items():
                 found[kind] = (*found.get(kind, ()), *forms)

@@ -56,7 +56,7 @@ class Statements:
     def statement(self, depth: int) -> Piece:
         """One statement."""
         draw = self.expressions.draw
-        flat = ("assign",) * 8 + ("element",) * 3 + ("call", "throw", "leave", "wait", "print")
+        flat = ("assign",) * 8 + ("element",) * 3 + ("call",) * 3 + ("throw", "leave", "wait", "print")
         deep: tuple[str, ...] = (
             ("if", "if", "loop", "loop", "try", "try", "finally", "jump") if depth > 0 else ()
         )
@@ -68,7 +68,7 @@ class Statements:
             case "element":
                 return self._element()
             case "call":
-                return written("", "o0 = o1.link(#, o0);", draw("int"))
+                return self._call()
             case "throw":
                 return self._throw()
             case "within" | "reserve" | "together":
@@ -93,6 +93,12 @@ class Statements:
         """A statement that leaves the engine."""
         asks = self._asks * 6 if self._coordination.calls else ()
         return self.expressions.form("", self.dice.choice(self._waits + asks), 1)
+
+    def _call(self) -> Piece:
+        """Of any method: what it throws goes through its monitor, if it has one."""
+        kind = self.dice.choice(list(self.expressions.calls))
+        called = self.expressions.form(kind, self.dice.choice(self.expressions.calls[kind]), 1)
+        return written("", f"{self.dice.choice(self._own[kind])} = #;", called)
 
     def _throw(self) -> Piece:
         condition = self.expressions.draw("boolean")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import random
+from collections.abc import Callable
 
 import pytest
 from hypothesis import given, settings
@@ -19,6 +20,7 @@ from lfield.bytecode.opcodes import BY_CODE, TABLE
 from lfield.testing.fuzz.__main__ import Fuzz, main
 from lfield.testing.fuzz.mutations import edited, random_edits
 from lfield.testing.fuzz.programs import random_program
+from lfield.testing.fuzz.tree import Piece
 from lfield.testing.fuzz.trial import tried
 from lfield.testing.golden import compile_text
 from lfield.vm.reference import Engine
@@ -83,12 +85,38 @@ def test_the_engines_do_the_same_whatever_hypothesis_thinks_of(pytestconfig: pyt
 
 def test_a_difference_is_shrunk(capsys: pytest.CaptureFixture[str]) -> None:
     engine = f"{WrongOpcode.__module__}:{WrongOpcode.__name__}"
-    assert main(["--count", "50", "--seed", "3", "--mutants", "0", "--most", "1", "--engine", engine]) == 1
+    assert main(["--count", "400", "--mutants", "0", "--most", "1", "--engine", engine]) == 1
     report = capsys.readouterr().out
     program = report[report.index("// deploy") : report.index("\n\n")]
     whole = random_program(random.Random(int(report.split()[1].rstrip(":")))).text()
     assert len(program) < len(whole) / 2
     assert "1 differences" in report
+
+
+def test_a_difference_is_told_before_it_is_made_smaller() -> None:
+    """With the command that finds it again; one is reported before anything is left out."""
+    fuzz = Fuzz(WrongOpcode, mutants=0)
+    seed, report = next((seed, report) for seed in range(_SOON) for report in fuzz.seed(seed))
+    again = f"--count 1 --seed {seed} --mutants 0 --engine {WrongOpcode.__module__}:WrongOpcode"
+    assert report.startswith(f"seed {seed}: run of ")
+    assert report.endswith(f"python -m lfield.testing.fuzz {again}")
+
+
+def test_ctrl_c_leaves_what_was_found(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The smallest program so far, and what was done."""
+
+    def interrupted(piece: Piece, shows: Callable[[], bool]) -> None:
+        assert shows()
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("lfield.testing.fuzz.__main__.shrink", interrupted)
+    engine = f"{WrongOpcode.__module__}:{WrongOpcode.__name__}"
+    assert main(["--count", "400", "--mutants", "0", "--engine", engine]) == 1
+    first, _, rest = capsys.readouterr().out.partition("\n  again: ")
+    assert f"{first.partition(':')[0]}, smaller: {first.partition(': ')[2]}\n// deploy" in rest
+    assert rest.endswith("1 differences\n")
 
 
 def test_mutants_are_programs() -> None:
