@@ -1,7 +1,8 @@
 """Try random programs on two engines: python -m lfield.testing.fuzz --count 1000 --seed 1
 
-Each program of L is tried as it is, and changed a little more each time (`--mutants`). A difference is shrunk
-and printed; the same seed finds it again.
+Each program of L is tried as it is, and changed a little more each time (`--mutants`). A difference is
+printed with the command that finds it again, and once more when it was made smaller, which may take minutes:
+Ctrl-C shows how small it is by then.
 """
 
 from __future__ import annotations
@@ -12,15 +13,17 @@ import random
 import re
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 from lfield.bytecode.disassemble import disassemble
 from lfield.bytecode.program import Program
 from lfield.errors import ProgramError
+from lfield.exits import INTERRUPTED
 from lfield.testing.fuzz.mutations import Edit, edited, random_edits
 from lfield.testing.fuzz.programs import random_program
 from lfield.testing.fuzz.shrinking import shrink, shrunk_edits
+from lfield.testing.fuzz.tree import Piece
 from lfield.testing.fuzz.trial import Outcome, tried
 from lfield.testing.golden import compile_text
 from lfield.vm.contract import Engines
@@ -60,15 +63,18 @@ class Fuzz:
         self.tally = Tally()
 
     def seed(self, seed: int) -> Iterator[str]:
-        """Try one program and its mutants; a report for each difference."""
+        """Try one program and its mutants; of a difference a report at once, and one when it is smaller.
+
+        A KeyboardInterrupt meanwhile is raised behind the second report, of what was left then.
+        """
         piece = random_program(random.Random(seed))
         text = piece.text()
         program = compile_text(text)
         outcome = tried(program, text, seed, self._engines)
         self.tally.add(outcome)
         if outcome.differences:
-            self.tally.found += 1
-            yield self._shrunk(seed)
+            yield self._found(f"seed {seed}", seed, outcome)
+            yield from self._shrunk(piece, seed)
             return
         mutant, edits = program, list[Edit]()
         for number in range(self._mutants):
@@ -77,38 +83,64 @@ class Fuzz:
             outcome = tried(mutant, text, seed + number, self._engines)
             self.tally.add(outcome)
             if outcome.differences:
-                self.tally.found += 1
-                yield self._shrunk_mutant(program, text, edits, seed, number)
+                yield self._found(f"seed {seed}, mutant {number}", seed, outcome)
+                yield from self._shrunk_mutant(program, text, edits, seed, number)
                 return
 
-    def _shrunk(self, seed: int) -> str:
-        piece = random_program(random.Random(seed))
+    def _found(self, what: str, seed: int, outcome: Outcome) -> str:
+        self.tally.found += 1
+        engine = f"{self._engines.__module__}:{getattr(self._engines, '__qualname__', '')}"
+        again = f"--count 1 --seed {seed} --mutants {self._mutants} --engine {engine}"
+        return f"{what}: {outcome.differences[0]}\n  again: python -m lfield.testing.fuzz {again}"
 
-        def outcome() -> Outcome | None:
+    def _shrunk(self, piece: Piece, seed: int) -> Iterator[str]:
+        smallest = Smallest(self._engines, f"seed {seed}", seed)
+
+        def shows() -> bool:
+            text = piece.text()
             try:
-                program = compile_text(piece.text())
-                return tried(program, piece.text(), seed, self._engines)
+                return smallest.shows(compile_text(text), text, text)
             except (ProgramError, StopIteration):
-                return None
+                return False
 
-        shrink(piece, lambda: (found := outcome()) is not None and found.differences != ())
-        found = outcome()
-        assert found is not None
-        first = found.differences[0]
-        return f"seed {seed}: {first}\n{piece.text()}\n{around(compile_text(piece.text()), first)}"
+        return smallest.after(lambda: shrink(piece, shows))
 
-    def _shrunk_mutant(self, program: Program, text: str, edits: list[Edit], seed: int, number: int) -> str:
-        def outcome(kept: list[Edit]) -> Outcome | None:
+    def _shrunk_mutant(
+        self, program: Program, text: str, edits: list[Edit], seed: int, number: int
+    ) -> Iterator[str]:
+        smallest = Smallest(self._engines, f"seed {seed}, mutant {number}", seed + number)
+
+        def shows(kept: list[Edit]) -> bool:
             mutant = edited(program, kept)
-            return None if mutant is None else tried(mutant, text, seed + number, self._engines)
+            return mutant is not None and smallest.shows(mutant, text, "\n".join(map(str, kept)))
 
-        kept = shrunk_edits(edits, lambda e: (found := outcome(e)) is not None and found.differences != ())
-        found, mutant = outcome(kept), edited(program, kept)
-        assert found is not None
-        assert mutant is not None
-        changes = "\n".join(str(edit) for edit in kept)
-        first = found.differences[0]
-        return f"seed {seed}, mutant {number}: {first}\n{changes}\n{around(mutant, first)}"
+        return smallest.after(lambda: shrunk_edits(edits, shows))
+
+
+class Smallest:
+    """The smallest program that has shown a difference so far, as a report."""
+
+    def __init__(self, engines: Engines, what: str, seed: int) -> None:
+        self._engines, self._what, self._seed = engines, what, seed
+        self._report = f"{what}: nothing can be left out"
+
+    def shows(self, program: Program, text: str, written: str) -> bool:
+        """Whether this one shows a difference, which is reported with the program as `written` then."""
+        differences = tried(program, text, self._seed, self._engines).differences
+        if differences:
+            self._report = (
+                f"{self._what}, smaller: {differences[0]}\n{written}\n{around(program, differences[0])}"
+            )
+        return differences != ()
+
+    def after(self, work: Callable[[], object]) -> Iterator[str]:
+        """The report once the work is done, or as it is when a KeyboardInterrupt ends that."""
+        try:
+            work()
+        except KeyboardInterrupt:
+            yield self._report
+            raise
+        yield self._report
 
 
 def around(program: Program, difference: str) -> str:
@@ -130,7 +162,7 @@ def engine_named(name: str) -> Engines:
 
 
 def main(words: list[str]) -> int:
-    """The command; 1 when engines differ."""
+    """The command; 1 when engines differ, else INTERRUPTED after Ctrl-C."""
     parser = argparse.ArgumentParser(prog="python -m lfield.testing.fuzz", description=__doc__)
     parser.add_argument("--count", type=int, default=1000, help="programs, mutants included")
     parser.add_argument("--seed", type=int, default=1, help="the first one; the next programs have the next")
@@ -140,8 +172,18 @@ def main(words: list[str]) -> int:
     parser.add_argument("--most", type=int, default=5, help="stop after so many differences")
     args = parser.parse_args(words)
     fuzz = Fuzz(engine_named(args.engine), args.mutants)
-    began = said = time.monotonic()
-    seed = args.seed
+    began, status = time.monotonic(), 0
+    try:
+        _try(fuzz, args, began)
+    except KeyboardInterrupt:
+        status = INTERRUPTED
+    print(fuzz.tally.line(time.monotonic() - began))
+    return 1 if fuzz.tally.found else status
+
+
+def _try(fuzz: Fuzz, args: argparse.Namespace, began: float) -> None:
+    """One seed after another, until it is enough."""
+    seed, said = args.seed, began
     while fuzz.tally.programs < args.count and fuzz.tally.found < args.most:
         for report in fuzz.seed(seed):
             print(report, flush=True)
@@ -152,8 +194,6 @@ def main(words: list[str]) -> int:
             said = now
         if now - began >= args.seconds:
             break
-    print(fuzz.tally.line(time.monotonic() - began))
-    return 1 if fuzz.tally.found else 0
 
 
 if __name__ == "__main__":

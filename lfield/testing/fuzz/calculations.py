@@ -6,48 +6,20 @@ What other programs overwrite before anybody looks is seen here, and what happen
 from __future__ import annotations
 
 import random
+import re
 
-from lfield.testing.fuzz.expressions import Expressions
+from lfield.testing.fuzz.expressions import FORMS, Expressions
 from lfield.testing.fuzz.tree import Piece, written
+from lfield.testing.fuzz.values import edge
 
-_INTS = (
-    *("0", "1", "2", "3", "7", "(-1)", "(-2)", "(-7)", "64", "4294967296", "9007199254740993", "3037000500"),
-    *("9223372036854775807", "9223372036854775806", "(-9223372036854775807)", "(-9223372036854775807 - 1)"),
-)
-_REALS = (
-    *(
-        "0.0",
-        "(-0.0)",
-        "1.0",
-        "(-1.0)",
-        "0.5",
-        "(-0.5)",
-        "2.5",
-        "3.0",
-        "(-3.0)",
-        "1e-320",
-        "1e-300",
-        "1e16",
-        "1e308",
-    ),
-    *("9223372036854775808.0", "(-9223372036854775808.0)", "(1e308 * 10.0)", "(-1e308 * 10.0)", "0.1"),
-    *("(1e308 * 10.0 - 1e308 * 10.0)", "4503599627370495.5", "0.49999999999999994", "710.0", "(-746.0)"),
-)
-_STRINGS = (
-    '""',
-    '"a"',
-    '"ab"',
-    '"b"',
-    '"größe"',
-    '"-12"',
-    '"1.5e3"',
-    '" 7 "',
-    "null",
-    '"9223372036854775808"',
-)
-#: How many values of each type are paired.
-_VALUES = 6
+#: The types of results, which are kept.
 _TYPES = ("int", "real", "boolean", "string")
+#: What is calculated: a built-in function more often than an operator.
+_FORMS = [
+    (kind, row) for kind in _TYPES for row in FORMS[kind] for _ in range(3 if re.search(r"\w\(", row) else 1)
+]
+#: How many values of each type are paired, and how many results of each pair there are.
+_SIZES = ((6, 16), (8, 9), (12, 4), (16, 2))
 #: The values of a pair by type, and objects that are there, or not.
 _PAIR: dict[str, tuple[str, ...]] = {
     "int": ("a", "b"),
@@ -86,24 +58,30 @@ boolean p = i < j; int at = i * {values} + j;
 def random_calculation(dice: random.Random) -> Piece:
     """A program by what the dice say."""
     expressions = Expressions(dice, _PAIR, {})
-    kinds = [dice.choice(_TYPES) for _ in range(dice.choice((6, 12, 20)))]
-    forms = [_kept(expressions, kind, number, len(kinds)) for number, kind in enumerate(kinds)]
-    text = _PROGRAM.format(room=_VALUES * _VALUES * len(kinds), values=_VALUES)
-    return written("", text, Piece("", [_given(dice)]), Piece("", [forms]))
+    values, count = dice.choice(_SIZES)
+    forms = [_kept(expressions, *dice.choice(_FORMS), number, count) for number in range(count)]
+    text = _PROGRAM.format(room=values * values * count, values=values)
+    return written("", text, Piece("", [_given(dice, values)]), Piece("", [forms]))
 
 
-def _given(dice: random.Random) -> list[Piece]:
-    values = {"v": _INTS, "w": _REALS, "texts": _STRINGS}
+def _given(dice: random.Random, values: int) -> list[Piece]:
+    """Both zeros are always there: functions of two numbers tell them apart only together."""
+    names = {"v": "int", "w": "real", "texts": "string"}
+    zeros = {"w[0]": "0.0", "w[1]": "(-0.0)"}
     return [
-        Piece("", [f"{name}[{at}] = {value};"])
-        for name, known in values.items()
-        for at, value in enumerate(dice.sample(known, _VALUES))
+        Piece("", [f"{place} = {zeros.get(place) or _value(dice, kind)};"])
+        for name, kind in names.items()
+        for place in (f"{name}[{at}]" for at in range(values))
     ]
 
 
-def _kept(expressions: Expressions, kind: str, number: int, of: int) -> Piece:
+def _value(dice: random.Random, kind: str) -> str:
+    return "null" if kind == "string" and dice.random() < 0.08 else edge(dice, kind)
+
+
+def _kept(expressions: Expressions, kind: str, row: str, number: int, of: int) -> Piece:
     """One result for each pair, or one more that has failed."""
-    drawn = expressions.draw(kind, expressions.dice.choice((1, 1, 2)))
+    drawn = expressions.form(kind, row, expressions.dice.choice((0, 0, 1)))
     failed = f"failed = failed % 1000000 * 3 + {number};"
     form = f"try {{ {kind}s[at * {of} + {number}] = #; }} catch (Exception e) {{ {failed} }}"
     return written("", form, drawn)

@@ -5,10 +5,11 @@ from __future__ import annotations
 import random
 
 from lfield.testing.fuzz.tree import Piece, written
+from lfield.testing.fuzz.values import literal
 
 #: By type, what an expression of it can be: `#` with the types of its parts behind the last `|`. One with `!`
 #: is not the word null, one with `*` is a variable.
-_FORMS: dict[str, tuple[str, ...]] = {
+FORMS: dict[str, tuple[str, ...]] = {
     "int": (
         *("(# + #)|int int", "(# - #)|int int", "(# * #)|int int", "(# / #)|int int", "(# % #)|int int"),
         *(
@@ -21,7 +22,14 @@ _FORMS: dict[str, tuple[str, ...]] = {
             "#.length()|int[]!",
             "#.length()|string!",
         ),
-        *("#.indexOf(#)|string! string", "f2i(#)|real", "s2i(#)|string", "s2i(i2s(#))|int", "abs(#)|int"),
+        *("#.indexOf(#)|string! string", "#.indexOf(#.substring(1, 2))|string! string!"),
+        *(
+            "(# + #).indexOf(#)|string string string",
+            "f2i(#)|real",
+            "s2i(#)|string",
+            "s2i(i2s(#))|int",
+            "abs(#)|int",
+        ),
         *("min(#, #)|int int", "max(#, #)|int int", "#.length()|Node[]!", "(# % 7)|int", "(# + 1)|int"),
     ),
     "real": (
@@ -68,42 +76,22 @@ _FORMS: dict[str, tuple[str, ...]] = {
     ),
     "string": (
         *("(# + #)|string string", "#.substring(#, #)|string! int int", "i2s(#)|int", "f2s(#)|real"),
+        *(
+            "#.substring(1, 2)|string!",
+            "#.substring(2, 3)|string!",
+            "#.substring(1, #.length())|string! string!",
+        ),
+        *("#.substring(abs(# % 4), 4)|string! int", "(# + #).substring(2, 5)|string string"),
         *("f2s(#, #)|real int", "b2s(#)|boolean", "#.s|Node!"),
     ),
     "Node": ("(new Node(#))|int", "#.next|Node!", "#[#]|Node[]! int", "#[1]|Node[]!"),
     "int[]": ("(new int[#])|int", "#.a|Node!", "(new int[3])|"),
     "real[]": ("(new real[#])|int", "(new real[4])|"),
     "Node[]": ("(new Node[#])|int", "(new Node[2])|"),
+    "Store": ("all[#]|int", 'findStore("store")|'),
 }
 
-_LITERALS: dict[str, tuple[str, ...]] = {
-    "int": (
-        "0",
-        "1",
-        "2",
-        "3",
-        "5",
-        "7",
-        "(-1)",
-        "(-3)",
-        "100",
-        "9223372036854775807",
-        "4294967297",
-        "(-9223372036854775807 - 1)",
-    ),
-    "real": ("0.0", "1.0", "0.5", "(-1.5)", "2.0", "1e308", "1e-300", "1e16", "3.0", "0.1", "7.25"),
-    "boolean": ("true", "false"),
-    "string": ('""', '"a"', '"ab"', '"größe"', '"12"', '"1e400"', '"-7"', '"x y"'),
-    "Node": ("null",),
-    "int[]": ("null",),
-    "real[]": ("null",),
-    "Node[]": ("null",),
-}
-
-#: What may stand in each place where a real is wanted and only the machine knows which.
-_STRANGE = ("(1e308 * 10.0)", "(1e308 * 10.0 - 1e308 * 10.0)", "(-1e308 * 10.0)")
-
-_REFERENCES = ("Node", "int[]", "real[]", "Node[]", "string")
+_REFERENCES = ("Node", "int[]", "real[]", "Node[]", "Store", "string")
 
 
 class Expressions:
@@ -115,7 +103,9 @@ class Expressions:
         variables: dict[str, tuple[str, ...]],
         calls: dict[str, tuple[str, ...]],
     ) -> None:
-        self.dice, self._variables, self._calls = dice, variables, calls
+        self.dice, self._variables = dice, variables
+        #: By type, the forms of calls that may stand here.
+        self.calls = calls
         self._depth = dice.choice((1, 2, 2, 3))
         #: Variables of loops, which may be read only.
         self.counters: list[str] = []
@@ -126,9 +116,9 @@ class Expressions:
         chance = self.dice.random()
         if depth <= 0 or chance < 0.35:
             return self._leaf(kind)
-        if chance < 0.42 and kind in self._calls:
-            return self.form(kind, self.dice.choice(self._calls[kind]), depth - 1)
-        return self.form(kind, self.dice.choice(_FORMS[kind]), depth - 1)
+        if chance < 0.42 and kind in self.calls:
+            return self.form(kind, self.dice.choice(self.calls[kind]), depth - 1)
+        return self.form(kind, self.dice.choice(FORMS[kind]), depth - 1)
 
     def form(self, kind: str, row: str, depth: int) -> Piece:
         """A form with its parts drawn."""
@@ -146,9 +136,7 @@ class Expressions:
     def _leaf(self, kind: str) -> Piece:
         if self.dice.random() < 0.7:
             return self._variable(kind)
-        if kind == "real" and self.dice.random() < 0.15:
-            return Piece(kind, [self.dice.choice(_STRANGE)])
-        return Piece(kind, [self.dice.choice(_LITERALS[kind])])
+        return Piece(kind, [literal(self.dice, kind)])
 
     def _variable(self, kind: str) -> Piece:
         names = self._variables[kind] + (tuple(self.counters) if kind == "int" else ())

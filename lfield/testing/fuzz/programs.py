@@ -10,6 +10,7 @@ import re
 from itertools import count
 
 from lfield.testing.fuzz.calculations import random_calculation
+from lfield.testing.fuzz.coordination import RESULTS
 from lfield.testing.fuzz.expressions import Expressions
 from lfield.testing.fuzz.statements import Statements
 from lfield.testing.fuzz.tree import PLAIN, Piece, written
@@ -34,8 +35,10 @@ _LOCALS = (
     *(("int[]", "v1", "o0.a"), ("real[]", "w0", "new real[3]"), ("Node[]", "q0", "new Node[2]")),
 )
 _VARIABLES: dict[str, tuple[str, ...]] = {
-    kind: tuple(name for of, name, _ in _LOCALS if of == kind) for kind in PLAIN
+    kind: tuple(name for of, name, _ in _LOCALS if of == kind) for kind in PLAIN if kind != "Store"
 }
+#: Those of coordinators, who know resources.
+_PROXIES = {"Store": ("st", "all[0]")}
 #: How a portal lets others in, who want its monitor perhaps.
 _PAUSES = ("sleep(0.25);", "yield();", "sleep(i2f(n) / 4.0);")
 #: What every method takes: how deep calls may go yet, and some values.
@@ -55,7 +58,7 @@ int n; real x; Node p; string s;
 #
 }"""
 _COORDINATOR = """coordinator Walker {
-Store st; int n; real x; Node p;
+Store st; Store[] all; int n; real x; Node p;
 #
 #
 }"""
@@ -65,17 +68,38 @@ def _declared(body: list[Piece]) -> list[Piece]:
     """The declarations of what a body uses, and of what those use."""
     text = " ".join(piece.text() for piece in body)
     found: list[Piece] = []
-    for kind, name, value in reversed(_LOCALS):
+    for kind, name, value in reversed(_LOCALS + RESULTS):
         if re.search(rf"\b{name}\b", text):
             text += value
             found.insert(0, Piece("", [f"{kind} {name} = {value};"]))
     return found
 
 
+#: What only the machine can carry out: in every unit, in coordinators, in resources.
+_WAITS = (
+    *("yield();|", "print(#);|int", "sleep(0.25);|", "r1 = random();|", "i2 = random(5);|", "r0 = now();|"),
+)
+_OF_WALKERS = (
+    "r1 = lived();|",
+    "heartbeatInterval(#);|real",
+    "all = findStore();|",
+    "st = findStore(#);|string",
+)
+_OF_STORES = ("write(#);|int", "write(#);|real", "write(#);|string", "write(#);|boolean")
 #: What coordinators ask, by how many portals there are.
-_ASKED = ["i0 = st.ask(#, #);|int Node", "st.tell(#, #, #);|real string int[]"]
+_ASKED = ("i0 = #.ask(#, #);|Store! int Node", "#.tell(#, #, #);|Store! real string int[]")
+#: What only coordinators can say, by type.
+_KNOWN = {
+    "int": ("hops()|",),
+    "boolean": ("(# == #)|Store! Store", "(# != #)|Store! Store", "(# == null)|Store!"),
+    "string": ("#.agent()|Store!", "#.host()|Store!"),
+}
 #: What methods give.
 _KINDS = ("int", "int", "real", "boolean", "string", "Node", "int[]")
+
+
+#: A second resource, in some programs.
+_OTHER = "// deploy: Store:other\n"
 
 
 class _Maker:
@@ -87,7 +111,7 @@ class _Maker:
         self.methods = {unit: self._names(unit) for unit in ("Node", "Store", "Walker")}
 
     def _names(self, unit: str) -> dict[str, tuple[str, ...]]:
-        kinds = self.dice.choices(_KINDS, k=self.dice.choice((1, 1, 2) if unit == "Node" else (0, 1)))
+        kinds = self.dice.choices(_KINDS, k=self.dice.choice((1, 1, 2) if unit == "Node" else (0, 1, 1)))
         numbers = count()
         found: dict[str, tuple[str, ...]] = {}
         for kind in kinds:
@@ -101,7 +125,8 @@ class _Maker:
         portals = [self._portal(number) for number in range(self.portals)]
         return written(
             "",
-            "// deploy: Store:store\n// deploy: Walker:one?1\n// deploy: Walker:two?2\n#\n#\n#\n",
+            "// deploy: Store:store\n#// deploy: Walker:one?1\n// deploy: Walker:two?2\n#\n#\n#\n",
+            Piece("", [self.dice.choice(("", _OTHER))]),
             written("", _NODE, Piece("", list(node))),
             written("", _RESOURCE, self._init("Store"), Piece("", [*store, *portals])),
             written("", _COORDINATOR, self._init("Walker"), Piece("", list(walker))),
@@ -112,7 +137,10 @@ class _Maker:
 
     def _calls(self, unit: str) -> dict[str, tuple[str, ...]]:
         """Calls by type, as forms: of the own methods, and of objects."""
-        found: dict[str, tuple[str, ...]] = {"int": ("o0.dive(#)|int",)}
+        found: dict[str, tuple[str, ...]] = {"int": ("o0.dive(#)|int",), "Node": ("o1.link(#, #)|int Node",)}
+        if unit == "Walker":
+            for kind, forms in _KNOWN.items():
+                found[kind] = (*found.get(kind, ()), *forms)
         for of, target in {"Node": "#.", unit: ""}.items():
             given = "Node! " if target else ""
             for kind, name in self._all(of):
@@ -122,15 +150,14 @@ class _Maker:
 
     def _body(self, unit: str, result: str, end: str, guarded: bool = False, pauses: bool = False) -> Piece:
         """A method's own: the variables that it uses, statements, and an end."""
-        waits = ["yield();|", "print(#);|int", "sleep(0.25);|", "r1 = random();|", "i2 = random(5);|"]
-        if unit == "Walker":
-            waits += _ASKED[: self.portals] * 6
-        calls = self._calls(unit)
-        expressions = Expressions(self.dice, _VARIABLES, calls)
-        limits = unit == "Walker"
-        statements = Statements(self.dice, expressions, _VARIABLES, result, tuple(waits), limits)
+        walks = unit == "Walker"
+        waits = _WAITS + {"Walker": _OF_WALKERS, "Store": _OF_STORES}.get(unit, ())
+        variables = _VARIABLES | _PROXIES if walks else _VARIABLES
+        expressions = Expressions(self.dice, variables, self._calls(unit))
+        asks = _ASKED[: self.portals] if walks else ()
+        statements = Statements(self.dice, expressions, variables, result, waits, asks)
         body = statements.block(self.depth, self.size + guarded)
-        if unit == "Walker":
+        if walks:
             body += [statements.wait() for _ in range(2)]
         if guarded:
             rounds = self.dice.choice((1, 3, 10) if unit == "Walker" else (1, 2))
@@ -148,8 +175,8 @@ class _Maker:
         return written("", "try { # } catch (Exception e) { # }", [piece], [Piece("", ["print(e.type());"])])
 
     def _method(self, unit: str, kind: str, name: str) -> Piece:
-        how = "public" if unit == "Node" else self.dice.choice(("private", "private synchronized"))
-        how = "private" if unit == "Walker" else how
+        access = "public" if unit == "Node" else "private"
+        how = access if unit == "Walker" else self.dice.choice((access, f"{access} synchronized"))
         end = "" if self.dice.random() < 0.05 else f"return {self.dice.choice(_VARIABLES[kind])};"
         return written(
             "",
@@ -158,7 +185,7 @@ class _Maker:
         )
 
     def _init(self, unit: str) -> Piece:
-        found = 'st = findStore("store");' if unit == "Walker" else ""
+        found = "all = findStore(); st = all[0];" if unit == "Walker" else ""
         return written(
             "",
             f"init(string[] arg) {{ {found} int d = 4; n = 2; x = 0.25; p = new Node(9);\n#\n}}",
@@ -174,4 +201,4 @@ class _Maker:
 
 def random_program(dice: random.Random) -> Piece:
     """A program by what the dice say; `Piece.text` is its L."""
-    return random_calculation(dice) if dice.random() < 0.3 else _Maker(dice).program()
+    return random_calculation(dice) if dice.random() < 0.4 else _Maker(dice).program()

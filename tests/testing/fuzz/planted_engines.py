@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
+from msgspec import structs
+
 from lfield.bytecode.opcodes import BY_NAME
 from lfield.bytecode.program import Core, Program, encode_quads
 from lfield.vm.contract import Blocked, Exit, Limits, NoRoom, Outside, Reading, Spent
@@ -109,6 +111,41 @@ class Crashing(_Changed):
         return leave
 
 
+class _WrongHead(_Changed):
+    """Takes another last argument along when it asks the machine for something."""
+
+    head: str
+
+    def changed(self, leave: Exit, block: Block, thread: int) -> Exit:
+        if isinstance(leave, Outside) and leave.op == BY_NAME[self.head].code:
+            return structs.replace(leave, words=[*leave.words[:-1], leave.words[-1] + 1])
+        return leave
+
+
+class WrongCall(_WrongHead):
+    """In a call that is begun in a `together`."""
+
+    head = "begin"
+
+
+class WrongStart(_WrongHead):
+    """When the calls of a `together` are begun before its end."""
+
+    head = "start"
+
+
+class WrongReservation(_WrongHead):
+    """When a resource is reserved."""
+
+    head = "take"
+
+
+class WrongLimit(_WrongHead):
+    """When a `within` begins."""
+
+    head = "limit"
+
+
 PLANTED = (
     WrongOpcode,
     WrongBudget,
@@ -118,4 +155,8 @@ PLANTED = (
     WrongMonitor,
     WrongTop,
     Crashing,
+    WrongCall,
+    WrongStart,
+    WrongReservation,
+    WrongLimit,
 )

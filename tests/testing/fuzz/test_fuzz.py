@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import random
+from collections.abc import Callable
 
 import pytest
 from hypothesis import given, settings
@@ -13,10 +14,13 @@ from lfield.testing.engines import NEEDED
 pytest.importorskip("wasmtime", reason=NEEDED)
 
 from planted_engines import PLANTED, WrongOpcode
+from planted_texts import FAULTS, Fault, finder
 
+from lfield.bytecode.opcodes import BY_CODE, TABLE
 from lfield.testing.fuzz.__main__ import Fuzz, main
 from lfield.testing.fuzz.mutations import edited, random_edits
 from lfield.testing.fuzz.programs import random_program
+from lfield.testing.fuzz.tree import Piece
 from lfield.testing.fuzz.trial import tried
 from lfield.testing.golden import compile_text
 from lfield.vm.reference import Engine
@@ -24,6 +28,10 @@ from lfield.vm.wasm.engine import Eager as Wasm
 
 #: Programs in which a planted fault must be found.
 _SOON = 400
+#: Hypothesis throws them: it makes what fails smaller, too.
+DICE = st.randoms(use_true_random=False)
+#: What is not there without a driver or a registry of capabilities; golden programs have it.
+_BEYOND = {"device", "offers", "explain", "teams", "settle"}
 
 
 @pytest.mark.parametrize("planted", PLANTED)
@@ -34,6 +42,22 @@ def test_a_planted_fault_is_found(planted: type[Engine]) -> None:
         outcome = tried(compile_text(piece.text()), piece.text(), seed, planted)
         if outcome.differences:
             return
+
+
+@pytest.mark.few(8)
+@pytest.mark.parametrize("fault", FAULTS, ids=str)
+def test_a_fault_in_the_text_of_the_engine_is_found(fault: Fault) -> None:
+    assert finder(fault, _SOON) is not None
+
+
+def test_programs_have_every_instruction() -> None:
+    missing = {row.name for row in TABLE} - _BEYOND
+    for seed in range(_SOON):
+        program = compile_text(random_program(random.Random(seed)).text())
+        missing -= {BY_CODE[quad.op].name for quad in program.quads}
+        if not missing:
+            return
+    pytest.fail(f"no program has {sorted(missing)}")
 
 
 def test_an_engine_does_what_it_does_itself() -> None:
@@ -49,21 +73,50 @@ def test_the_engine_in_webassembly_does_the_same() -> None:
     assert [report for seed in range(8) for report in fuzz.seed(seed)] == []
 
 
-@given(st.randoms(use_true_random=False), st.integers(0, 1000))
-@settings(deadline=None, max_examples=20)
-def test_the_engines_do_the_same_whatever_hypothesis_thinks_of(dice: random.Random, seed: int) -> None:
-    text = random_program(dice).text()
-    assert tried(compile_text(text), text, seed, Wasm).differences == ()
+def test_the_engines_do_the_same_whatever_hypothesis_thinks_of(pytestconfig: pytest.Config) -> None:
+    @given(DICE, st.integers(0, 1000))
+    @settings(max_examples=2000 if pytestconfig.option.every_case else 40)
+    def same(dice: random.Random, seed: int) -> None:
+        text = random_program(dice).text()
+        assert tried(compile_text(text), text, seed, Wasm).differences == ()
+
+    same()
 
 
 def test_a_difference_is_shrunk(capsys: pytest.CaptureFixture[str]) -> None:
     engine = f"{WrongOpcode.__module__}:{WrongOpcode.__name__}"
-    assert main(["--count", "50", "--seed", "3", "--mutants", "0", "--most", "1", "--engine", engine]) == 1
+    assert main(["--count", "400", "--mutants", "0", "--most", "1", "--engine", engine]) == 1
     report = capsys.readouterr().out
     program = report[report.index("// deploy") : report.index("\n\n")]
     whole = random_program(random.Random(int(report.split()[1].rstrip(":")))).text()
     assert len(program) < len(whole) / 2
     assert "1 differences" in report
+
+
+def test_a_difference_is_told_before_it_is_made_smaller() -> None:
+    """With the command that finds it again; one is reported before anything is left out."""
+    fuzz = Fuzz(WrongOpcode, mutants=0)
+    seed, report = next((seed, report) for seed in range(_SOON) for report in fuzz.seed(seed))
+    again = f"--count 1 --seed {seed} --mutants 0 --engine {WrongOpcode.__module__}:WrongOpcode"
+    assert report.startswith(f"seed {seed}: run of ")
+    assert report.endswith(f"python -m lfield.testing.fuzz {again}")
+
+
+def test_ctrl_c_leaves_what_was_found(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The smallest program so far, and what was done."""
+
+    def interrupted(piece: Piece, shows: Callable[[], bool]) -> None:
+        assert shows()
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("lfield.testing.fuzz.__main__.shrink", interrupted)
+    engine = f"{WrongOpcode.__module__}:{WrongOpcode.__name__}"
+    assert main(["--count", "400", "--mutants", "0", "--engine", engine]) == 1
+    first, _, rest = capsys.readouterr().out.partition("\n  again: ")
+    assert f"{first.partition(':')[0]}, smaller: {first.partition(': ')[2]}\n// deploy" in rest
+    assert rest.endswith("1 differences\n")
 
 
 def test_mutants_are_programs() -> None:
