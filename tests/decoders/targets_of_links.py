@@ -5,6 +5,7 @@ from __future__ import annotations
 import random
 import struct
 import zlib
+from collections import deque
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from functools import cache
@@ -178,18 +179,24 @@ class Pipe(FramedLink):
 
 
 def take_stream(data: bytes) -> None:
-    """Bytes of a link in pieces, of a size that the first byte says. The same comes of them in one piece."""
+    """Bytes of a link in pieces, of a size that the first byte says. The same comes of them in one piece, and
+    of a guest's, which are taken message by message.
+    """
     size, heard = (data[0] if data else 0) + 1, []
-    for step in (size, len(data) + 1):
+    for step, is_guest in ((size, False), (len(data) + 1, False), (size, True)):
         link, ears = Pipe("peer", 4096), Ears()
         link.handler = ears
         for at in range(1, len(data), step):
             if link.closed:
                 break
-            link.received(data[at : at + step])
+            piece = data[at : at + step]
+            if is_guest:
+                deque(link.one_by_one(piece), maxlen=0)
+            else:
+                link.received(piece)
         link.finished(None)
         heard.append(ears.heard)
-    assert heard[0][:-1] == heard[1][:-1], "what is heard depends on how bytes are split"
+    assert heard[0][:-1] == heard[1][:-1] == heard[2][:-1], "what is heard depends on how bytes are split"
 
 
 # -- a whole host ---------------------------------------------------------------------------------------

@@ -142,12 +142,12 @@ def _add_routes(app: FastAPI, served: Served) -> None:
         does = buttons(served.actions, told(REASON, pressed, now)).get(str(asked))
         if does is None:
             return _refused("there is no such button")
-        if why := refusal(asked, pressed, now):
-            return _refused(why, 409)
         # Hosts would say the same; whoever has no button need not ask them.
         for order, why in served.actions.barred.items():
             if order == asked:
                 return _refused(why, 403)
+        if why := refusal(asked, pressed, now):
+            return _refused(why, 409)
         return _json(ordered(await does()))
 
     @app.post("/query")

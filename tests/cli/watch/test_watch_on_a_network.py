@@ -149,7 +149,7 @@ class Browsing:
         return look
 
     def presses(self, action: str) -> tuple[int, str]:
-        return self.asks("/act", {"action": action})
+        return self.asks("/act", {"action": action, "pressed": json.loads(self.asks("/look")[1])["at"]})
 
 
 @pytest.fixture

@@ -138,7 +138,7 @@ class Script:
         return Ordered("resume")
 
     async def query(self, text: str) -> Answer:
-        if text.startswith("Lift"):
+        if text == "Lift":
             offers = [
                 Offer("Lift", "direct", "lift", v.agent, v.host, 1.0, {"payload": Fact(2.5)})
                 for v in self.seen().vehicles.values()

@@ -15,7 +15,7 @@ from selenium.webdriver.common.keys import Keys
 from lfield.operator.web.door import NO_SESSION, OLD_LINK
 from lfield.operator.web.look import LINES
 
-pytestmark = [needs_browser, pytest.mark.browser, pytest.mark.process]
+pytestmark = [needs_browser, pytest.mark.browser, pytest.mark.process, pytest.mark.long]
 
 
 def test_two_copters_move(browser, page_of):

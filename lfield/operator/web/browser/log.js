@@ -29,7 +29,12 @@ export default {
       const missing = this.last ? fresh[0].serial - this.last - 1 : 0;
       this.last = fresh.at(-1).serial;
       const added = fresh.map((line, n) => (n || !missing ? line : { ...line, missing }));
-      this.log = [...this.log, ...added].slice(-this.most).sort(inOrder);
+      const all = [...this.log, ...added].sort(inOrder);
+      const cut = all.splice(0, Math.max(0, all.length - this.most));
+      // What was missing among the lines that go is missing before those that stay.
+      const lost = cut.reduce((sum, line) => sum + (line.missing ?? 0), all[0].missing ?? 0);
+      if (lost) all[0] = { ...all[0], missing: lost };
+      this.log = all;
       this.$nextTick(() => {
         const lines = this.$refs.lines;
         if (lines && this.atEnd) lines.scrollTop = lines.scrollHeight;
