@@ -96,6 +96,10 @@ class Script:
                 self.low.add(agent)
             case ["say", host, *text]:
                 self.say(host, " ".join(text))
+            case ["count", host, many]:
+                for number in range(int(many)):
+                    self.say(host, f"line {number}")
+                print("counted", flush=True)
 
     def say(self, host: str, text: str, agent: str = "") -> None:
         self.lines.append(LogLine(len(self.lines) + 1, host, time.time(), 0.0, agent, text))
