@@ -8,6 +8,8 @@ const HOP_SHOWN = 20;
 const GRID_AT_LEAST = 48;
 // Lines of latitude and longitude are further apart: each says which it is.
 const DEGREES_AT_LEAST = 96;
+// What stands at the left edge is right of the buttons for the zoom.
+const BESIDE_ZOOM = 56;
 // A coordinator is drawn so far below its anchor, in pixels, and the next one below that; half of it is this.
 const BELOW = 14;
 const EACH_BELOW = 13;
@@ -149,7 +151,7 @@ export default {
       const path = rows.map(across).join("") + columns.map(up).join("");
       if (!this.earth) return { path, axes: across(0) + up(0), labels: [] };
       const places = Math.max(0, -Math.floor(Math.log10(step)));
-      const north = (n) => ({ text: words.degrees(n, places, "N", "S"), x: 4, y: this.pixel([n, low.lng]).y - 3 });
+      const north = (n) => ({ text: words.degrees(n, places, "N", "S"), x: BESIDE_ZOOM, y: this.pixel([n, low.lng]).y - 3 });
       const east = (e) => ({ text: words.degrees(e, places, "E", "W"), x: this.pixel([low.lat, e]).x + 3, y: size.y - 4 });
       // In that corner is the scale.
       const labels = [...rows.map(north), ...columns.map(east).filter((label) => label.x < size.x - 160)];
