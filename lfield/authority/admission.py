@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from functools import partial
+from hashlib import sha256
 from typing import TYPE_CHECKING
 
 from msgspec.structs import replace
@@ -93,6 +94,8 @@ class Judged(Admission):
         super().__init__()
         self._authority, self.own, self.time = keys.authority, own, time
         self.revoked, self.list, self.number = revoked, data, revoked.number
+        #: The digests of the authority's lists that held nothing new: nothing in them ever will be.
+        self._old: set[bytes] = set()
         #: Those who have greeted in this mission, by the numbers of their certificates.
         self._greeted: dict[str, str] = {}
         time.proven(own.begins, f"the certificate of {own}")
@@ -127,7 +130,7 @@ class Judged(Admission):
         self._greeted[who.serial] = str(who)
 
     def news(self, data: bytes) -> str:
-        if data == self.list:
+        if data == self.list or (digest := sha256(data).digest()) in self._old:
             return ""
         # Large, and of no use to whoever has no keys.
         from lfield.authority.reading import revoked_in
@@ -135,6 +138,7 @@ class Judged(Admission):
         own, read = self.revoked, revoked_in(data, self._authority)
         newer = read.number > own.number
         if not newer and read.serials <= own.serials:
+            self._old.add(digest)
             return ""
         # Nothing that the authority has ever revoked is good again.
         self.revoked = own.united(read)

@@ -9,9 +9,9 @@ from functools import partial
 
 import pytest
 
-from lfield.authority import folder
+from lfield.authority import folder, reading
 from lfield.authority.admission import Judged
-from lfield.authority.reading import identity_in
+from lfield.authority.reading import identity_in, revoked_in
 from lfield.clock import ManualClock
 from lfield.errors import KeysError, UsageError
 from lfield.host.process import own_list
@@ -93,6 +93,25 @@ def test_the_newest_list_counts_wherever_it_is_and_a_new_one_is_kept(ring, tmp_p
     assert judged(Proof(folder.read(own, "host"))).number == 6
     assert not admission.news(ring.listed(5)), "an older one that revokes nobody else"
     assert folder.read_list(own) == admission.list
+
+
+def test_an_old_list_is_read_once_however_often_it_comes(ring, tmp_path, monkeypatch):
+    admission = judged(Proof(replace(ring.made("host", "alpha"), revoked=ring.listed(5, "fe", "ff"))))
+    read = []
+
+    def reading_of(data, authority):
+        read.append(data)
+        return revoked_in(data, authority)
+
+    monkeypatch.setattr(reading, "revoked_in", reading_of)
+    old, other = ring.listed(3, "fe"), ring.listed(4, "ff", "fd")
+    for _ in range(3):
+        assert not admission.news(old)
+    assert read == [old]
+    assert admission.news(other), "it revokes one more"
+    assert not admission.news(other)
+    assert not admission.news(other)
+    assert read == [old, other, other]
 
 
 def test_where_the_keys_are_of_a_service_a_list_is_kept_elsewhere(ring, tmp_path):
