@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import argparse
 import importlib
-import os
 import signal
 import sys
 from collections.abc import Collection, Iterable, Sequence
@@ -18,12 +17,13 @@ from lfield import exits
 from lfield.driver.binding import DeviceBinding
 from lfield.errors import LfieldError, PluginError
 from lfield.text.outlet import never_waiting
-from lfield.text.private import private_folder, temporary_folder
+from lfield.text.own_place import own_place, own_places
 
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
 
 GROUP = "lfield.sims.v1"
+_DOORS = "lfield-sims"
 
 
 @runtime_checkable
@@ -110,12 +110,16 @@ def sims_of(drivers: Collection[str]) -> Sims:
 
 
 def control_folder() -> Path:
-    """Where running fakes have the sockets at which their faults are set; made on demand.
+    """Where a running fake has the socket at which its faults are set; made on demand.
 
-    Raises OutputFileError when others could put theirs there.
+    Raises OutputFileError when there is none where others could not put theirs.
     """
-    base = os.environ.get("XDG_RUNTIME_DIR") or f"{temporary_folder()}/lfield-{os.getuid()}"
-    return private_folder(Path(base) / "lfield-sims")
+    return own_place(_DOORS)
+
+
+def control_doors() -> list[Path]:
+    """The sockets of this user's fakes, also of those that were killed."""
+    return sorted(door for folder in own_places(_DOORS) for door in folder.glob("*.sock"))
 
 
 def load_sim(reference: str) -> Sim:

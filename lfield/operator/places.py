@@ -5,9 +5,8 @@
     $XDG_RUNTIME_DIR/lfield a user's
     TMPDIR/lfield-UID       a user's who has no runtime folder
 
-In a temporary folder anybody can make `lfield-UID` first. Whoever begins a run makes one then with an end to
-its name that nobody knows before, `lfield-UID-0a1b2c3d`, and none where others could remove it. So nobody can
-take the place away from anybody. Who looks takes each folder in its owner's name only.
+In a temporary folder `lfield-UID` may be followed by an end that nobody knows before (`text.own_place`). Who
+looks takes each folder in its owner's name only.
 
 Who looks may have another environment than who began (sudo, su, cron): all folders are looked into that the
 user's runs can be in without anybody having named another; root looks into those of all users, and members of
@@ -17,8 +16,6 @@ the group into those that are open to it, which only root and members can have o
 from __future__ import annotations
 
 import os
-import re
-import secrets
 from collections import defaultdict
 from collections.abc import Collection, Iterator, Sequence
 from contextlib import suppress
@@ -27,14 +24,13 @@ from stat import S_IRGRP
 from typing import NamedTuple
 
 from lfield.net.door import ROOT, sharing
-from lfield.text.private import keeps, private_opened, temporary_folder
+from lfield.text.own_place import new_in, of_users, runtime_folder
+from lfield.text.private import private_opened, temporary_folder
 
 #: Where the unit of deploy/ has its runs.
 SERVICE = Path("/run/lfield")
 #: Where systemd has the runtime folders of users, by number, and where temporary files usually are.
 RUNTIMES, SHARED = Path("/run/user"), Path("/tmp")
-#: A folder of a user in a temporary one.
-_OF_USER = re.compile(r"lfield-(0|[1-9]\d{0,9})(-[0-9a-f]{8})?", re.ASCII)
 #: So many folders of another user are looked into; nobody needs more.
 _MOST_OF_OTHERS = 4
 
@@ -69,29 +65,17 @@ def spots() -> Iterator[Spot]:
         return
     group = sharing() if _elsewhere() else None
     if group is not None:
-        yield from (Spot(path, group) for path in _new_in(SHARED))
+        yield from (Spot(path, group) for path in new_in(SHARED))
     runtime = _runtime()
     if runtime is not None:
         yield Spot(runtime)
     for folder in _temporary():
-        yield from (Spot(path) for path in _new_in(folder))
+        yield from (Spot(path) for path in new_in(folder))
 
 
 def for_group() -> bool:
     """Whether runs of this process are open to the group `lfield`, if nothing is in the way."""
     return _elsewhere() and sharing() is not None
-
-
-def _new_in(shared: Path) -> Iterator[Path]:
-    """Folders of this user, of which nobody can take the last one beforehand."""
-    if not keeps(shared):
-        return
-    usual = shared / f"lfield-{os.geteuid()}"
-    yield usual
-    # Where this user may not list what is there, commands would not find what has another name.
-    with suppress(OSError):
-        yield from (path for path in _of_users(shared).get(os.geteuid(), ()) if path != usual)
-        yield usual.with_name(f"{usual.name}-{secrets.token_hex(4)}")
 
 
 # --- for who looks ------------------------------------------------------------------------------------------
@@ -148,23 +132,8 @@ def _by_user() -> dict[int, list[Path]]:
                     found[path.lstat().st_uid].append(path)
     for shared in _temporary():
         with suppress(OSError):
-            for user, paths in _of_users(shared).items():
+            for user, paths in of_users(shared).items():
                 found[user] += paths
-    return found
-
-
-def _of_users(shared: Path) -> dict[int, list[Path]]:
-    """The folders there that are named after their owners, by them. Raises OSError."""
-    with os.scandir(shared) as entries:
-        names = sorted(entry.name for entry in entries if entry.name.startswith("lfield-"))
-    found: dict[int, list[Path]] = defaultdict(list)
-    for name in names:
-        if named := _OF_USER.fullmatch(name):
-            with suppress(OSError):
-                # No path is made of it before: somebody may have put thousands there.
-                owner = os.lstat(f"{shared}/{name}").st_uid
-                if owner == int(named[1]):
-                    found[owner].append(shared / name)
     return found
 
 
@@ -179,12 +148,8 @@ def _service() -> Path | None:
 
 def _runtime() -> Path | None:
     """The place in the runtime folder of this user, if there is one that nobody else may change."""
-    runtime = os.environ.get("XDG_RUNTIME_DIR", "")
-    with suppress(OSError):
-        # After `su` it may still be another user's.
-        if runtime and os.stat(runtime).st_uid == os.geteuid() and keeps(Path(runtime)):
-            return Path(runtime) / "lfield"
-    return None
+    runtime = runtime_folder()
+    return None if runtime is None else runtime / "lfield"
 
 
 def _temporary() -> list[Path]:

@@ -41,7 +41,7 @@ from lfield.devices.try_out import LiveBench
 from lfield.driver import DeviceBinding, Driver, Manifest, Plugin, Reports
 from lfield.driver.binding import OptionValue
 from lfield.driver.plugins import Plugins, discover
-from lfield.driver.sims import control_folder, discover_sims
+from lfield.driver.sims import control_doors, discover_sims
 from lfield.net.control import ask_fake
 from lfield.simulate.time import LoopClock, run_jumping
 from lfield.testing.reports import KeptReports
@@ -183,7 +183,8 @@ class RunningFake:
 
     def fault(self, *settings: str) -> dict[str, Any]:
         """Set what is wrong with it, `NAME[@DEVICE]=VALUE`; its answer. Raises AssertionError."""
-        answer = ask_fake(control_folder() / f"{self._driver}-{self.process.pid}.sock", settings)
+        name = f"{self._driver}-{self.process.pid}.sock"
+        answer = ask_fake(next(door for door in control_doors() if door.name == name), settings)
         if "error" in answer:
             raise AssertionError(answer["error"])
         return answer

@@ -62,11 +62,11 @@ def _fault(target: str, settings: list[str]) -> int:
 
 def _running() -> dict[Path, dict[str, Any]]:
     """Every fake of this user that answers, by its door. Doors of fakes that were killed are cleared away."""
-    from lfield.driver.sims import control_folder
+    from lfield.driver.sims import control_doors
     from lfield.net.control import ask_fake, is_abandoned
 
     running = {}
-    for door in sorted(control_folder().glob("*.sock")):
+    for door in control_doors():
         try:
             running[door] = ask_fake(door, [])
         except AddressError:
