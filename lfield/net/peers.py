@@ -137,6 +137,8 @@ class Peers:
             listener.close()
         for session in list(self._links.values()):
             session.link.close()
+        for session in self._ungreeted:
+            session.link.abort()
 
     def send(self, host: str, message: Control) -> None:
         """Send to a host; without a link the message is dropped, as mobility expects."""

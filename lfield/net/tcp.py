@@ -58,7 +58,7 @@ class TcpTransport:
         self._tls, self._resident = tls, resident
         self._max_pending = 4 * max_block + (1 << 20) if max_pending is None else max_pending
         self._connect_timeout = connect_timeout
-        self._reception = Reception()
+        self._reception, self._threshold = Reception(), Reception()
 
     async def listen(self, address: str, on_link: Callable[[Link], LinkHandler]) -> TcpListener:
         """Listen at exactly that address; port 0 takes a free one. Raises AddressError.
@@ -119,7 +119,7 @@ class TcpTransport:
         block, pending, reception = self._max_block, self._max_pending, self._reception
         if plain or self._tls is None:
             return StreamLink(block, pending, on_link, reception, self._resident, calls=calls)
-        return TlsLink(block, pending, on_link, reception, self._tls, calls=calls)
+        return TlsLink(block, pending, on_link, reception, self._threshold, self._tls, calls=calls)
 
 
 def _path(address: str) -> Path:

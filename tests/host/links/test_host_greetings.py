@@ -280,3 +280,30 @@ def test_one_with_too_many_links_to_look_loses_their_own_and_nobody_elses(fleet,
         assert ben.ends == []
 
     fleet(story)
+
+
+def test_a_host_that_stops_leaves_no_link_behind_of_whoever_has_said_nothing(fleet):
+    async def story(team):
+        (alpha,) = await team.up(team.mission(PROGRAM, DEPLOYMENT), "alpha", door="alpha:1")
+        silent = Quiet()
+        await team.network.transport("desk").connect("alpha:1", silent)
+        await asyncio.sleep(1.0)
+        assert not silent.ended
+        await alpha.host.stop()
+        # Not when it would have been too long without a greeting.
+        await asyncio.sleep(1.0)
+        assert silent.ended
+
+    fleet(story)
+
+
+class Quiet:
+    """A caller that says nothing."""
+
+    ended = False
+
+    def on_message(self, link, message):
+        pass
+
+    def on_closed(self, link, error):
+        self.ended = True
