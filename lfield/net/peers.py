@@ -144,10 +144,8 @@ class Peers:
         """Send to a host; without a link the message is dropped, as mobility expects."""
         session = self._links.get(host)
         if session:
-            try:
+            with suppress(AddressError):
                 session.link.send(message)
-            except AddressError:
-                return
 
     def send_transfer(self, host: str, header: Transfer, block: Buffer) -> None:
         """Send a coordinator to a host. Where the link is just closing, `unlinked` is about to follow."""
