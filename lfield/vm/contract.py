@@ -65,7 +65,7 @@ class Done(Exit, frozen=True):
 
 
 class Spent(Exit, frozen=True):
-    """The budget is used up; the thread can go on."""
+    """The budget is used up, or it has taken long; the thread can go on."""
 
 
 class Stopped(Exit, frozen=True):
@@ -131,7 +131,7 @@ BLOCKED = Blocked()
 class Engine(Protocol):
     """Runs threads of blocks of one program. Keeps nothing between two runs: another one may go on."""
 
-    #: How many times as much as the reference engine it does before the world is looked at.
+    #: How many times as much as the reference engine it does in the same time.
     pace: int
 
     @property

@@ -40,7 +40,7 @@ from lfield.vm.memory.collector import compact
 from lfield.vm.memory.layout import BLOCKED, READY, THREAD_CALL, THREAD_ID, THREAD_STATE
 from lfield.vm.memory.liveness import Liveness
 from lfield.vm.memory.soundness import Soundness
-from lfield.vm.memory.threads import place_of
+from lfield.vm.memory.threads import only_thread, place_of
 from lfield.vm.memory.values import word_for
 from lfield.vm.outside import Outsiders
 from lfield.vm.reference import Engine
@@ -54,9 +54,9 @@ from lfield.vm.world import World
 
 #: Instructions a thread may run before the next one's turn.
 SLICE = 2000
-#: How much one call of `run` does before it lets the host look at the world: the instructions of so many
-#: slices, on the reference engine, in so many turns at most: whoever calls portals does little in each.
-ROUND, TURNS = 20, 100
+#: How much one call of `run` does before it lets the host look at the world: so many slices, in so many turns
+#: at most, since whoever calls portals does little in each, and for so many seconds.
+ROUND, TURNS, LONGEST = 20, 100, 0.005
 
 
 class Machine:
@@ -82,7 +82,7 @@ class Machine:
     ) -> None:
         self.program = program
         self.team = team
-        self._here, self._world, self._fenced = here, world, fenced
+        self._here, self._world, self._fenced, self._now = here, world, fenced, clock.monotonic
         self._scheduler = scheduler = Scheduler(
             program, 1 + life % (layout.START_LIMIT - 1), world, clock, portals.fail, engines or Engine
         )
@@ -232,9 +232,9 @@ class Machine:
         if not recovered and self._limits.strike(agent, message):
             return
         if head == "leave" or (head and kind != "RestartException"):
-            self._together.failed(agent, _only_thread(agent), kind, message, source)
+            self._together.failed(agent, only_thread(agent.block), kind, message, source)
         else:
-            self.refuse(agent, _only_thread(agent), kind, message, source)
+            self.refuse(agent, only_thread(agent.block), kind, message, source)
 
     def abandon(self, agent: Agent, kind: str, message: str) -> bool:
         """Throw a built-in exception in a coordinator that waits for a portal of this host.
@@ -248,7 +248,7 @@ class Machine:
         if not self._begun.stop_waiting(agent) and not portals.abandon(self._scheduler, agent):
             return False
         called = self.calling(agent)
-        self.refuse(agent, _only_thread(agent), kind, message, called[0].id if called else "")
+        self.refuse(agent, only_thread(agent.block), kind, message, called[0].id if called else "")
         return True
 
     def goes_on(self, agent: Agent) -> bool:
@@ -320,17 +320,20 @@ class Machine:
         turns, ready = self._turns, self._turns.ready
         if turns.timed:
             self._wake()
-        left = ROUND * SLICE * self.engine.pace
+        now, long = self._now, SLICE * self.engine.pace
+        left, until = ROUND * long, now() + LONGEST
         for _ in range(TURNS):
             if not ready or left <= 0:
                 break
             agent, thread = ready.popleft()
-            # Nobody else can become ready: the rest of the round is all this thread's, so it has it at once.
+            # Where nobody else can become ready, nothing is lost by a long turn.
             alone = not (ready or agent.pollers or agent.blocked or self.attached.meter)
             try:
-                left -= self._turn(agent, thread, max(left, SLICE) if alone else SLICE)
+                left -= self._turn(agent, thread, long if alone else SLICE)
             except Exception as error:
                 self._break(agent, thread, error)
+            if now() > until:
+                break
         return turns.pause()
 
     def _wake(self) -> None:
@@ -392,8 +395,3 @@ class Machine:
         else:
             scheduler.forget(agent, thread)
             scheduler.open(agent)
-
-
-def _only_thread(coordinator: Agent) -> int:
-    w = coordinator.block.w
-    return w[w[layout.W_THREADS] + THREAD_ID]

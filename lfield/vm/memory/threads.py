@@ -82,6 +82,12 @@ def place_of(block: Block, identity: int) -> int:
     return (_places(block) if places is None else places).get(identity, 0)
 
 
+def only_thread(block: Block) -> int:
+    """The id of the thread of a coordinator, which has one."""
+    w = block.w
+    return w[w[layout.W_THREADS] + THREAD_ID]
+
+
 def serving(block: Block, call: int) -> int:
     """The id of the thread that serves the portal call with that number; 0 when there is none."""
     w = block.w

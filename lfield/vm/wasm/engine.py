@@ -29,6 +29,9 @@ _give = struct.Struct(f"<{len(GIVEN) + len(KEPT)}q").pack_into
 _told = struct.Struct(f"<{len(KEPT) + len(TOLD)}q").unpack_from
 
 
+#: A run ends after so many seconds: what is rare takes a thousand times as long as what is not. So many
+#: instructions at most are the reference engine's before that is looked at.
+LONGEST, FEW = 0.002, 2000
 #: What making an engine raises where there is no room for one.
 UNUSABLE = (MemoryError, OSError, wasmtime.WasmtimeError)
 
@@ -39,7 +42,7 @@ class Engine:
     `note` takes a line where the reference engine runs what is not so rare: a method, an agent.
     """
 
-    pace = 20
+    pace = 50
     #: So many instructions of a run are the reference engine's, as to enter WebAssembly takes longer: between
     #: two portal calls, and in a portal that hands something on, there are mostly no more.
     first = 12
@@ -52,7 +55,7 @@ class Engine:
         note: Callable[[str], object] = lambda _: None,
     ) -> None:
         self.program = program
-        self._note = note
+        self._note, self._now = note, now
         #: The agents whose blocks have been found elsewhere.
         self._outside: set[str] = set()
         self._reference = Reference(program, now)
@@ -102,12 +105,12 @@ class Engine:
         return leave if leave is not SPENT else self._go_on(block, thread, limits, readings)
 
     def _go_on(self, block: Block, thread: int, limits: Limits, readings: Sequence[Reading | None]) -> Exit:
-        """Do what is left of the budget, in WebAssembly as far as it can be."""
-        base = self.space.base(block.data)
+        """Do what is left of the budget, in WebAssembly as far as it can be, unless it takes long."""
+        base, points = self.space.base(block.data), self.points
         if base < 0:
             self._tell(block)
-            return self._refer(block, thread, limits, readings, None)
-        points, w = self.points, block.w
+            points = {}
+        w, until = block.w, self._now() + LONGEST
         while self.unused > 0:
             status = STEP
             if point := points.get(w[thread + THREAD_PC], 0):
@@ -115,14 +118,15 @@ class Engine:
                 if status == DONE:
                     return Done(word)
                 if not self.unused:
-                    return SPENT
+                    break
             ask = self._asks.get(w[thread + THREAD_PC])
             if ask is not None and (leave := self._ask(block, thread, ask)) is not None:
                 return leave
-            stops = None if status == SHORT else points
-            leave = self._refer(block, thread, limits, readings, stops)
-            if leave is not STOPPED:
+            leave = self._refer(block, thread, limits, readings, None if status == SHORT else points)
+            if leave is not STOPPED and leave is not SPENT:
                 return leave
+            if self._now() > until:
+                break
         return SPENT
 
     def _tell(self, block: Block) -> None:
@@ -144,10 +148,10 @@ class Engine:
         readings: Sequence[Reading | None],
         stops: Container[int] | None,
     ) -> Exit:
-        """Let the reference engine go on."""
-        reference = self._reference
-        leave = reference.run(block, thread, self.unused, limits, readings, stops)
-        self.unused = reference.unused
+        """Let the reference engine go on, for a while."""
+        reference, budget = self._reference, min(self.unused, FEW)
+        leave = reference.run(block, thread, budget, limits, readings, stops or None)
+        self.unused += reference.unused - budget
         self.asked = self.asked or reference.asked
         return leave
 

@@ -10,7 +10,7 @@ from lfield.clock import ManualClock
 from lfield.testing.golden import Desk, compile_text, settle
 from lfield.vm.agent import Member
 from lfield.vm.contract import Limits
-from lfield.vm.machine import ROUND, SLICE, TURNS, Machine
+from lfield.vm.machine import LONGEST, ROUND, SLICE, TURNS, Machine
 from lfield.vm.memory.collector import collect
 from lfield.vm.memory.layout import W_SELF
 
@@ -36,10 +36,10 @@ coordinator Clerk {
 """
 
 
-def machine(body: str, desk: Desk | None = None) -> Machine:
+def machine(body: str, desk: Desk | None = None, clock: ManualClock | None = None) -> Machine:
     """A store and its clerk, who has not begun."""
     program = compile_text(PROGRAM % body)
-    made = Machine(program, TEAM, 0, 1, desk or Desk(), ManualClock(), random.Random(1))
+    made = Machine(program, TEAM, 0, 1, desk or Desk(), clock or ManualClock(), random.Random(1))
     for member in TEAM:
         made.start(member, Limits(), generation=1)
     return made
@@ -61,6 +61,23 @@ def test_a_round_is_over_after_so_many_turns_or_instructions(body: str, least: i
     assert made.run() == 0.0
     assert len(used) <= TURNS
     assert least <= sum(used) <= most
+
+
+class Slow(ManualClock):
+    """Each time it is looked at, a millisecond has passed."""
+
+    def monotonic(self) -> float:
+        self.advance(0.001)
+        return super().monotonic()
+
+
+@pytest.mark.parametrize("body", ["while (true) store.ask();", "int i = 0; while (true) i = i + 1;"])
+def test_a_round_is_over_when_it_has_taken_long(body: str) -> None:
+    made, turns = machine(body, clock=Slow()), []
+    made.run()
+    made.attached.meter = turns.append
+    made.run()
+    assert 1 <= len(turns) <= 1000 * LONGEST + 1
 
 
 def test_whoever_is_ready_has_a_turn_in_a_round_of_calls() -> None:

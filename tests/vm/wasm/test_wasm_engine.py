@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import random
+from itertools import count
 from math import factorial
 from pathlib import Path
 
@@ -19,12 +20,14 @@ from lfield.vm.agent import Member
 from lfield.vm.contract import SPENT, Done, Engines, Limits, NoRoom, Thrown
 from lfield.vm.machine import Machine
 from lfield.vm.memory.block import Block
-from lfield.vm.memory.layout import ARRAY, FRAME_SLOTS, OBJECT, THREAD_FRAME
+from lfield.vm.memory.collector import collect
+from lfield.vm.memory.layout import ARRAY, FRAME_SLOTS, OBJECT, THREAD_FRAME, THREAD_ID
 from lfield.vm.memory.threads import new_thread, place_of, thread_template
 from lfield.vm.reference import Engine as Reference
 
 wasmtime = pytest.importorskip("wasmtime", reason=NEEDED)
 
+from lfield.vm.wasm.engine import LONGEST  # noqa: E402
 from lfield.vm.wasm.engine import Eager as Engine  # noqa: E402
 from lfield.vm.wasm.engine import Engine as Patient  # noqa: E402
 
@@ -81,6 +84,52 @@ def test_a_budget_ends_at_the_very_same_instruction(budget: int) -> None:
                 break
         images.append(seen)
     assert images[0] == images[1] == images[2]
+
+
+@pytest.mark.parametrize(
+    "body",
+    [
+        "try { try { i = none[i]; } finally { i = i + 1; } } catch (NullException e) { i = i + 1; }",
+        "try { throw new Exception(f2s(1.5)); } catch (Exception e) { i = i + 1; }",
+        "text = f2s(1.5);",
+        "i = long.length();",
+        "if (long == other) i = i + 1;",
+        "if (long < other) i = i + 1;",
+        "text = long.substring(3, 4);",
+        'text = long + "x";',
+        'i = long.indexOf("aab");',
+        "some = new int[10000];",
+    ],
+)
+def test_what_takes_long_is_not_done_so_often(body: str) -> None:
+    """The host's guards take a host that says nothing for dead: no run may be ever so long."""
+    program = compile_text(
+        f"""
+        resource R {{
+          string long; string other; int[] some;
+          init(string[] arg) {{ }}
+          private void run() {{
+            int i = 0; string text; int[] none;
+            long = "a"; while (long.length() < 2000) long = long + long;
+            other = "" + long;
+            while (true) {{ {body} }}
+          }}
+        }}
+        """
+    )
+    method = next(i for i, m in enumerate(program.core.methods) if m.name == "run")
+    looks = count()
+    engine = Engine(program, lambda: next(looks) / 1000.0)
+    block, thread = thread_of(program, engine, method, 1 << 17)
+    identity = block.w[thread + THREAD_ID]
+    for _ in range(40):
+        engine.run(block, place_of(block, identity), 100, Limits())
+        collect(block, engine.layouts, 1 << 16)
+    thread = place_of(block, identity)
+    before = next(looks)
+    assert engine.run(block, thread, 100_000, Limits()) is SPENT
+    assert engine.unused > 90_000
+    assert next(looks) - before <= 1000 * LONGEST + 3
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,8 @@ to. `{t}` is the type of the slot that a value comes from or goes to. More lines
     index {c}          throws where an index is outside of the array at $p
 
 So a row has only what is common; whatever is rare has one description, that of the reference engine. The
-locals `x`, `y` (i64), `u` (f64) and `p` (i32) are free for every row. What is in no row leaves.
+locals `x`, `y` (i64), `u` (f64) and `p` (i32) are free for every row. What is in no row leaves. So does what
+takes long, as with long strings and arrays: a run of so many instructions must have an end soon.
 """
 
 from __future__ import annotations
@@ -83,6 +84,10 @@ def _maths(opcode: str, *arguments: str) -> str:
 
 _EQUAL = "(local.set {a} (i64.extend_i32_u (i64.eq {b} {c})))"
 _DIFFERS = "(local.set {a} (i64.extend_i32_u (i64.ne {b} {c})))"
+_EQUAL_TEXTS = """
+    (local.set $p (call $str_equal (local.get $base) {b} {c}))
+    leave (i32.eq (local.get $p) (i32.const 2))
+"""
 #: Proxies are the same when they are for the same agent.
 _MEMBERS = f"""
     (local.set $x {{b}})
@@ -133,6 +138,7 @@ ROWS: dict[str, str] = {
     """,
     "newarray": """
         leave (i64.gt_u {c} (global.get $longest))
+        leave (i64.gt_u {c} (i64.const 8192))
         (local.set $x (i64.shl (i64.add {c} (i64.const 1)) (i64.const 3)))
         (local.set $p (global.get $top))
         (local.set $y (i64.add (i64.extend_i32_u (local.get $p)) (local.get $x)))
@@ -206,8 +212,8 @@ ROWS: dict[str, str] = {
     "sner": _DIFFERS,
     "eqr of proxies": _MEMBERS + "(local.set {a} (i64.extend_i32_u (i64.eq (local.get $x) (local.get $y))))",
     "sner of proxies": _MEMBERS + "(local.set {a} (i64.extend_i32_u (i64.ne (local.get $x) (local.get $y))))",
-    "eqs": "(local.set {a} (i64.extend_i32_u (call $str_equal (local.get $base) {b} {c})))",
-    "snes": "(local.set {a} (i64.extend_i32_u (i32.eqz (call $str_equal (local.get $base) {b} {c}))))",
+    "eqs": _EQUAL_TEXTS + "(local.set {a} (i64.extend_i32_u (local.get $p)))",
+    "snes": _EQUAL_TEXTS + "(local.set {a} (i64.extend_i32_u (i32.eqz (local.get $p))))",
     "sles": _order("le_s"),
     "sges": _order("ge_s"),
     "slts": _order("lt_s"),
