@@ -121,7 +121,7 @@ def test_lengths(text: str | None) -> None:
 
 @given(st.text("aé", max_size=60), st.text("aé", max_size=5))
 @example("", "")
-@example("é" * 3000, "a")
+@example("é" * 1000, "a")
 def test_where_a_string_is_in_another(text: str, wanted: str) -> None:
     two = Two(text, wanted, most=10_000)
     assert two.given("index_of", *two.places) == text.find(wanted)
@@ -133,6 +133,24 @@ def test_a_search_that_may_take_long_and_one_in_null_are_left() -> None:
     assert two.given("index_of", text, wanted) is None
     assert two.given("index_of", null, wanted) is None
     assert two.given("index_of", text, null) is None
+
+
+@pytest.mark.parametrize(("size", "stays"), [(1024, True), (1025, False)])
+def test_long_strings_are_left(size: int, *, stays: bool) -> None:
+    """Nobody looks at a clock in WebAssembly."""
+    two = Two("a" * size, "a" * size, "b", most=10_000)
+    text, same, short = two.places
+    assert (two.given("str_len", text) is not None) == stays
+    assert two.made("substring", text, 3, 7) == stays
+    for name in ("str_equal", "str_order"):
+        assert (called(name, 3)(two.base, text, same) != 2) == stays
+        assert called(name, 3)(two.base, text, short) != 2
+
+
+@pytest.mark.parametrize(("size", "made"), [(1023, True), (1024, False)])
+def test_long_concatenations_are_left(size: int, *, made: bool) -> None:
+    two = Two("a" * size, "b", most=10_000)
+    assert two.made("str_concat", *two.places) == made
 
 
 @given(maybe, maybe, st.booleans())
