@@ -86,10 +86,11 @@ def compiled(texts: Sequence[str], reservation: int, patience: float = PATIENCE)
 
     Raises NoEngine.
     """
-    # Not what lies in the working folder by the name of a module: this host runs what is made.
+    # The modules of this host, and nothing that lies in the working folder: this host runs what is made.
     command = (sys.executable, "-P", "-m", _COMPILER, str(reservation), str(os.getpid()))
+    modules = os.pathsep.join(folder for folder in sys.path if folder)
     # Its last words are to be the reason, not where in its libraries that was.
-    environment = {**os.environ, "RUST_BACKTRACE": "0"}
+    environment = {**os.environ, "PYTHONPATH": modules, "RUST_BACKTRACE": "0"}
     try:
         ended = subprocess.run(
             command,
