@@ -2,6 +2,7 @@
 
     LfieldError
     ├── UsageError                the command line was wrong                                  64
+    │   └── NoHome                a user without a home, where a folder in it is needed       64
     ├── ProgramError              an L program, deployment or access file has errors         65
     ├── BindingError              a devices file is wrong, or a device is missing             65
     │   └── DevicesError          devices that cannot be opened: no library, port or answer   69
@@ -69,6 +70,16 @@ class UsageError(LfieldError):
     """A command line that makes no sense; the message says how to write it."""
 
     exit_status = exits.USAGE
+
+
+class NoHome(UsageError):
+    """A folder of the user's own is needed, and nothing says where it is; `variable` could."""
+
+    def __init__(self, variable: str) -> None:
+        self.variable = variable
+        super().__init__(
+            f"this user has no home folder: set HOME, or {variable}, to the absolute path of a folder"
+        )
 
 
 class ProgramError(LfieldError):

@@ -31,7 +31,8 @@ from lfield.authority.keys import (
     certificate_name,
     key_name,
 )
-from lfield.errors import KeysError
+from lfield.errors import KeysError, NoHome
+from lfield.text.own_folders import own_folder
 from lfield.text.private import read_private, write_private
 
 #: The folder of a person's keys, as that of a host has the host's name.
@@ -41,14 +42,13 @@ SYSTEM, VARIABLE = Path("/etc/lfield/keys"), "LFIELD_KEYS"
 
 
 def own_keys(environment: Mapping[str, str]) -> Path:
-    """The folder of this user's keys."""
+    """The folder of this user's keys. Raises NoHome."""
     return own_settings(environment) / "keys"
 
 
 def own_settings(environment: Mapping[str, str]) -> Path:
-    """The folder of this user's settings of lfield."""
-    base = environment.get("XDG_CONFIG_HOME", "")
-    return (Path(base) if base else Path.home() / ".config") / "lfield"
+    """The folder of this user's settings of lfield. Raises NoHome."""
+    return own_folder("XDG_CONFIG_HOME", ".config", environment) / "lfield"
 
 
 def find(
@@ -63,7 +63,7 @@ def find(
     `named` is what --keys said. Raises KeysError where a folder was named and has no such keys.
     """
     said = named or (Path(environment[VARIABLE]) if environment.get(VARIABLE) else None)
-    usual = _inside(system, name), _inside(own_keys(environment), name)
+    usual = [_inside(base, name) for base in _usual(environment, system)]
     for folder in (said, _inside(said, name)) if said is not None else usual:
         # What this user may not look into is not there.
         if os.path.exists(folder / certificate_name(holder)):
@@ -80,11 +80,18 @@ def find(
 def folders_here(environment: Mapping[str, str], system: Path = SYSTEM) -> list[Path]:
     """Every key folder of this computer that this user may see, those of the system first."""
     found = []
-    for base in (system, own_keys(environment)):
+    for base in _usual(environment, system):
         with suppress(OSError):
             found += sorted(path for path in base.iterdir() if path.is_dir())
     said = environment.get(VARIABLE, "")
     return [*([Path(said)] if said else []), *found]
+
+
+def _usual(environment: Mapping[str, str], system: Path) -> list[Path]:
+    """Where keys are that nobody names: who has no home has none of their own."""
+    with suppress(NoHome):
+        return [system, own_keys(environment)]
+    return [system]
 
 
 def read(folder: Path, holder: Holder) -> Keys:

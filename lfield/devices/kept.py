@@ -14,7 +14,8 @@ import msgspec
 from lfield.driver.binding import DeviceBinding
 from lfield.errors import DamagedFileError, InputFileError, OutputFileError
 from lfield.text.files import reason
-from lfield.text.private import private_locked, read_private, state_folder, write_private
+from lfield.text.own_folders import state_folder
+from lfield.text.private import private_locked, read_private, write_private
 
 #: A larger file is none of ours, in bytes.
 _MOST = 16 << 20
@@ -108,5 +109,5 @@ class Kept:
 
 
 def kept_file(folder: Path | None) -> Path:
-    """Where it is: in the folder that is named, else in the service's or the user's own."""
+    """Where it is: in the folder that is named, else in the service's or the user's own. Raises NoHome."""
     return (folder or state_folder()) / "setup.json"

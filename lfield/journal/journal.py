@@ -8,7 +8,7 @@ from typing import NamedTuple, Protocol
 from urllib.parse import quote
 
 from lfield.journal.pages import Key, Page
-from lfield.text.private import state_folder
+from lfield.text.own_folders import state_folder
 
 
 class Change(NamedTuple):
@@ -73,6 +73,9 @@ FILE_NAME = "host.journal"
 
 
 def journal_file(folder: Path | None, deployment: str, host: str) -> Path:
-    """Where the journal of a host is: in the folder that is named, else in the service's or the user's."""
+    """Where the journal of a host is: in the folder that is named, else in the service's or the user's.
+
+    Raises NoHome.
+    """
     place = f"{quote(deployment, safe='')}@{quote(host, safe='')}"
     return (folder or state_folder()) / place / FILE_NAME

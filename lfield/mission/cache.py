@@ -23,9 +23,10 @@ from pathlib import Path
 import msgspec
 
 from lfield import __version__, exits
-from lfield.errors import BundleError, InputFileError, OutputFileError
+from lfield.errors import BundleError, InputFileError, NoHome, OutputFileError
 from lfield.mission import bundle
 from lfield.mission.inputs import Inputs
+from lfield.text import own_folders
 from lfield.text.files import read_within
 from lfield.text.private import private_folder, private_locked, private_opened
 
@@ -97,11 +98,10 @@ def prepared(order: Order) -> Iterator[Path]:
 
 def cache_folder() -> Path | None:
     """Where bundles are kept; None when there is no folder that is this user's alone."""
-    base = os.environ.get("XDG_CACHE_HOME") or ""
-    folder = (Path(base) if os.path.isabs(base) else Path.home() / ".cache") / "lfield" / "bundles"
     try:
-        unseen = not private_folder(folder).stat().st_mode & 0o077
-    except (OSError, OutputFileError):
+        folder = private_folder(own_folders.cache_folder() / "bundles")
+        unseen = not folder.stat().st_mode & 0o077
+    except (OSError, OutputFileError, NoHome):
         return None
     return folder if unseen and os.access(folder, os.W_OK | os.X_OK) else None
 

@@ -178,7 +178,8 @@ def _made(path: Path) -> Iterator[int]:
 
 
 def _no_folder(path: Path, error: OSError) -> str:
-    if path.is_symlink():
+    # Not Path.is_symlink: it raises where this user may not look, or a name is too long.
+    if os.path.islink(path):
         return "it is a link; name the folder that is meant"
     if error.errno in (errno.EEXIST, errno.ENOTDIR):
         return "it is not a folder"
@@ -223,13 +224,3 @@ def _replace(name: str, data: bytes, mode: int, folder: int, *, durable: bool) -
     except OSError:
         os.unlink(temporary, dir_fd=folder)
         raise
-
-
-def state_folder() -> Path:
-    """The folder of what outlives a run: the service's, else the user's own."""
-    # systemd names all state folders of a unit, with colons between.
-    service = os.environ.get("STATE_DIRECTORY", "").partition(":")[0]
-    if service:
-        return Path(service)
-    base = os.environ.get("XDG_STATE_HOME", "")
-    return (Path(base) if base else Path.home() / ".local" / "state") / "lfield"

@@ -17,7 +17,7 @@ from lfield.authority.identity import Identity, Right
 from lfield.authority.keys import Keys
 from lfield.authority.ledger import Ledger, begin, opened
 from lfield.authority.reading import checked, revoked_in
-from lfield.errors import KeysError, OutputFileError
+from lfield.errors import KeysError, NoHome, OutputFileError
 from lfield.operator.keys_health import health
 
 AT, DAY = 1795464000.0, 86400.0
@@ -35,6 +35,14 @@ def mode(path: Path) -> int:
 def refused(folder: Path, words: str, holder="host") -> None:
     with pytest.raises(KeysError, match=words):
         folders.read(folder, holder)
+
+
+def test_who_has_no_home_has_no_keys_in_it(tmp_path: Path) -> None:
+    environment = {"HOME": ""}
+    assert folders.find("host", "alpha", None, environment, tmp_path) is None
+    assert folders.folders_here(environment, tmp_path) == []
+    with pytest.raises(NoHome, match="set HOME, or XDG_CONFIG_HOME"):
+        folders.own_settings(environment)
 
 
 def test_keys_are_read_as_they_were_written_and_the_private_one_is_the_owners(ledger: Ledger) -> None:

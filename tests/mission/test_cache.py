@@ -204,3 +204,9 @@ def test_a_damaged_bundle_cannot_be_bound_anew(tmp_path: Path) -> None:
     with pytest.raises(NotBuilt) as caught, prepared(Order(file, devices=tmp_path / "none.yaml")):
         pytest.fail("there is nothing to run")
     assert caught.value.status == 65
+
+
+def test_who_has_no_home_keeps_no_bundles(monkeypatch):
+    monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
+    monkeypatch.setenv("HOME", "relative")
+    assert cache_folder() is None

@@ -202,3 +202,7 @@ def test_a_file_that_cannot_be_finished_leaves_the_old_one(path, monkeypatch):
     refused(path, "No space left on device")
     assert list(path.parent.iterdir()) == [path]
     assert path.read_bytes() == b"old"
+
+
+def test_a_folder_whose_name_is_too_long_is_refused(tmp_path):
+    refused(tmp_path / ("x" * 300) / "file", "too long")

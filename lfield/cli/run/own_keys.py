@@ -9,6 +9,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
 from lfield.authority.keys import Keys
+from lfield.errors import NoHome
 from lfield.mission.access.release import Release
 
 if TYPE_CHECKING:
@@ -23,7 +24,7 @@ def proof_of(host: str, args: argparse.Namespace) -> Proof | None:
     """With what the host proves who it is; None where there are no keys. Raises KeysError."""
     from lfield.authority import folder
     from lfield.host.process.proving import Proof
-    from lfield.text.private import state_folder
+    from lfield.text.own_folders import state_folder
 
     if args.keys_fd is not None:
         given = _inherited(args.keys_fd)
@@ -31,9 +32,11 @@ def proof_of(host: str, args: argparse.Namespace) -> Proof | None:
     found = folder.find("host", host, args.keys, os.environ)
     if found is None:
         return None
-    # A service may read its keys, and write what it has to keep elsewhere.
-    kept = state_folder() / "keys" / folder.inside_name(host)
-    return Proof(folder.read(found, "host"), (found, kept), args.lasts)
+    folders = [found]
+    with suppress(NoHome):
+        # A service may read its keys, and write what it has to keep elsewhere.
+        folders.append(state_folder() / "keys" / folder.inside_name(host))
+    return Proof(folder.read(found, "host"), folders, args.lasts)
 
 
 def built_here(mission: Mission, path: Path, args: argparse.Namespace) -> Mission:

@@ -14,11 +14,9 @@ from typing import Any
 import wasmtime
 
 from lfield.vm.memory.space import SEPARATE, Buffer
-from lfield.vm.wasm.lower.module import STACK
+from lfield.vm.wasm.compiling import compiler
+from lfield.vm.wasm.sizes import PAGE, WHOLE
 
-PAGE = 1 << 16
-#: The most a memory can have. With so many addresses reserved, code needs no checks that it stays within.
-WHOLE = 1 << 32
 #: What is tried, one after another, where addresses are limited (`ulimit -v`).
 RESERVATIONS = (WHOLE, 1 << 30, 1 << 28, 1 << 26, 1 << 24)
 #: Regions have one of four sizes between two powers of two; this is the smallest.
@@ -29,22 +27,6 @@ _advise = ctypes.CDLL(None, use_errno=True).madvise
 _advise.argtypes = (ctypes.c_void_p, ctypes.c_size_t, ctypes.c_int)
 #: A memory grows by so many pages at least: growing costs a call of the system, untouched pages cost nothing.
 _STEP = 16
-
-
-@cache
-def compiler(reservation: int) -> wasmtime.Engine:
-    """What compiles for memories with so many addresses; one for a process, so its hosts share modules."""
-    config = wasmtime.Config()
-    config.memory_reservation = reservation
-    config.memory_reservation_for_growth = 0
-    config.memory_may_move = False
-    if reservation < WHOLE:
-        config.memory_guard_size = PAGE
-    config.wasm_wide_arithmetic = True
-    config.cranelift_nan_canonicalization = True
-    config.parallel_compilation = False
-    config.max_wasm_stack = STACK
-    return wasmtime.Engine(config)
 
 
 class Arena:

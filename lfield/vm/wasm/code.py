@@ -1,14 +1,15 @@
 """A program as machine code: compiled once in a process, and once on a computer where a cache keeps it.
 
 What a cache gives is used only when it is whole and was made of this program by these very files and this
-wasmtime. It is machine code: a cache must give nothing that anybody but its user could have written.
+wasmtime. It is machine code: a cache must give nothing that anybody but its user could have written. Whoever
+has a cache compiles elsewhere too.
 """
 
 from __future__ import annotations
 
 import hashlib
 from collections import OrderedDict
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from importlib.metadata import version
@@ -20,19 +21,21 @@ import msgspec
 import wasmtime
 
 from lfield.vm.reference.prepare import Prepared
-from lfield.vm.wasm.arena import compiler
+from lfield.vm.wasm.compiling import compiler
 from lfield.vm.wasm.lower.module import Module, module
 from lfield.vm.wasm.runtime.functions import runtime_text
 
 #: So many programs are kept in a process: tests have many of them, a host has one.
 KEPT = 16
 _recent: OrderedDict[tuple[bytes, int], Code] = OrderedDict()
+#: What stands for the runtime among the digests of programs.
+_RUNTIME = b"runtime"
 #: The packages whose files say what code is made of a program.
 _MAKERS = ("lfield.vm.wasm", "lfield.vm.maths", "lfield.bytecode", "lfield.vm.memory")
 
 
 class Cache(Protocol):
-    """Keeps the code of programs by name, for this user alone."""
+    """Keeps the code of programs by name, for this user alone, and compiles what it has not."""
 
     def get(self, name: str) -> bytes | None:
         """What was put there, None if there is nothing that could be believed."""
@@ -42,6 +45,9 @@ class Cache(Protocol):
 
     def damaged(self, name: str, reason: str) -> None:
         """What `get` gave was not what was put; it is made again."""
+
+    def compiled(self, texts: Sequence[str], reservation: int) -> Sequence[bytes]:
+        """The machine code of each module, for memories with so many addresses. Raises NoEngine."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,41 +70,67 @@ _kept = msgspec.msgpack.Decoder(_Kept)
 
 def code_of(prepared: Prepared, reservation: int, kept: Cache | None = None) -> Code:
     """The code of a program: of this process, else of the cache, else made now."""
-    return _recently(prepared.program.digest, reservation, kept, lambda: module(prepared))
+    digest = prepared.program.digest
+    return _codes({digest: lambda: module(prepared)}, reservation, kept)[digest]
 
 
-def runtime_of(reservation: int, kept: Cache | None = None) -> wasmtime.Module:
-    """The code of the runtime, which is the same for all programs."""
-    return _recently(b"runtime", reservation, kept, lambda: Module(runtime_text(), {}, {})).compiled
+def runtime_of(
+    reservation: int, kept: Cache | None = None, beside: Prepared | None = None
+) -> wasmtime.Module:
+    """The code of the runtime, the same for all programs; that of one `beside` it is made with it."""
+    makers = {_RUNTIME: lambda: Module(runtime_text(), {}, {})}
+    if beside is not None:
+        makers[beside.program.digest] = lambda: module(beside)
+    return _codes(makers, reservation, kept)[_RUNTIME].compiled
 
 
-def _recently(digest: bytes, reservation: int, kept: Cache | None, make: Callable[[], Module]) -> Code:
-    key = digest, reservation
-    found = _recent.pop(key, None) or _found(digest, reservation, kept, make)
-    _recent[key] = found
-    if len(_recent) > KEPT:
+def _codes(
+    makers: Mapping[bytes, Callable[[], Module]], reservation: int, kept: Cache | None
+) -> dict[bytes, Code]:
+    """The code for each digest; what is to be made is compiled in one go."""
+    known = {digest: _recent.pop((digest, reservation), None) for digest in makers}
+    codes = {digest: code or _found(digest, reservation, kept) for digest, code in known.items()}
+    missing = {digest: makers[digest]() for digest, code in codes.items() if code is None}
+    made = _made(missing, reservation, kept)
+    whole = {digest: code or made[digest] for digest, code in codes.items()}
+    _recent.update({(digest, reservation): code for digest, code in whole.items()})
+    while len(_recent) > KEPT:
         _recent.popitem(last=False)
-    return found
+    return whole
 
 
-def _found(digest: bytes, reservation: int, kept: Cache | None, make: Callable[[], Module]) -> Code:
+def _found(digest: bytes, reservation: int, kept: Cache | None) -> Code | None:
+    """What the cache has, where it can be used."""
     if kept is None:
-        return _made(make(), reservation)
+        return None
     name = name_of(digest, reservation)
     data = kept.get(name)
-    if data is not None:
-        try:
-            return _read(name, data, reservation)
-        except (ValueError, msgspec.DecodeError, wasmtime.WasmtimeError) as error:
-            kept.damaged(name, str(error).partition("\n")[0])
-    code = _made(make(), reservation)
-    content = msgspec.msgpack.encode(_Kept(code.points, code.left, bytes(code.compiled.serialize())))
-    kept.put(name, _seal(name, content) + content)
-    return code
+    if data is None:
+        return None
+    try:
+        return _read(name, data, reservation)
+    except (ValueError, msgspec.DecodeError, wasmtime.WasmtimeError) as error:
+        kept.damaged(name, str(error).partition("\n")[0])
+        return None
 
 
-def _made(made: Module, reservation: int) -> Code:
-    return Code(wasmtime.Module(compiler(reservation), made.text), made.points, made.left)
+def _made(modules: Mapping[bytes, Module], reservation: int, kept: Cache | None) -> dict[bytes, Code]:
+    """Compiled now: where the cache says."""
+    engine = compiler(reservation)
+    if kept is None:
+        return {
+            digest: Code(wasmtime.Module(engine, made.text), made.points, made.left)
+            for digest, made in modules.items()
+        }
+    codes = {}
+    machine_codes = kept.compiled([made.text for made in modules.values()], reservation) if modules else ()
+    for (digest, made), machine_code in zip(modules.items(), machine_codes, strict=True):
+        name = name_of(digest, reservation)
+        content = msgspec.msgpack.encode(_Kept(made.points, made.left, machine_code))
+        kept.put(name, _seal(name, content) + content)
+        compiled = wasmtime.Module.deserialize(engine, machine_code)
+        codes[digest] = Code(compiled, made.points, made.left)
+    return codes
 
 
 def _read(name: str, data: bytes, reservation: int) -> Code:

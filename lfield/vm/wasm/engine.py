@@ -59,8 +59,9 @@ class Engine:
         #: The agents whose blocks have been found elsewhere.
         self._outside: set[str] = set()
         self._reference = Reference(program, now)
-        self.space = Heaps(low_bytes(program), cache)
-        code = code_of(self._reference.prepared, self.space.reservation, cache)
+        prepared = self._reference.prepared
+        self.space = Heaps(low_bytes(program), cache, prepared)
+        code = code_of(prepared, self.space.reservation, cache)
         #: The number of each instruction where WebAssembly can take over.
         self.points = code.points
         for method, why in code.left.items():
@@ -70,7 +71,7 @@ class Engine:
         instance = wasmtime.Instance(
             store, code.compiled, [self.space.memory, *(runtime[name] for name in RUNTIME)]
         )
-        self._asks = self._reference.prepared.asks
+        self._asks = prepared.asks
         self._registers = self.space.view(0, 8 * len(REGISTERS))
         self._enter = quick(store, instance, "run", 0)
         #: As of the reference engine.

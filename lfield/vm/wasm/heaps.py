@@ -11,22 +11,28 @@ from collections.abc import Iterator, Mapping
 from lfield.vm.memory.layout import HEADER_WORDS, TICKET_WORDS, Layouts
 from lfield.vm.memory.shapes import Shapes, Stances
 from lfield.vm.memory.space import Buffer, Walked
-from lfield.vm.wasm.arena import PAGE, Arena, size_class
+from lfield.vm.reference.prepare import Prepared
+from lfield.vm.wasm.arena import Arena, size_class
 from lfield.vm.wasm.calls import unsigned
 from lfield.vm.wasm.code import Cache, runtime_of
 from lfield.vm.wasm.runtime.functions import Functions
 from lfield.vm.wasm.runtime.tables import layout_tables, shape_tables, stance_tables
+from lfield.vm.wasm.sizes import PAGE
 
 #: The most references that are copied at once: more than any call has arguments.
 MOST_ROOTS = 64
 
 
 class Heaps(Arena):
-    """An arena whose blocks need no Python to be collected, copied and checked."""
+    """An arena whose blocks need no Python to be collected, copied and checked.
 
-    def __init__(self, low: int = PAGE, cache: Cache | None = None) -> None:
+    The code of a program may be made with that of the runtime.
+    """
+
+    def __init__(self, low: int = PAGE, cache: Cache | None = None, program: Prepared | None = None) -> None:
         super().__init__(low)
-        self.functions = Functions(runtime_of(self.reservation, cache), self.store, self.memory)
+        runtime = runtime_of(self.reservation, cache, program)
+        self.functions = Functions(runtime, self.store, self.memory)
         functions = self.functions
         self._collect, self._copy, self._sound = functions.collect, functions.deep_copy, functions.sound
         self._travels = functions.travels

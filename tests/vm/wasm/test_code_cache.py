@@ -6,17 +6,21 @@ import os
 import platform
 import subprocess
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
 
 from lfield.errors import UsageError
-from lfield.host import engines as engines_module
-from lfield.host.engines import KEPT, UserCache, code_folder, engines_for
+from lfield.host.engines import engines as engines_module
+from lfield.host.engines.engines import engines_for
+from lfield.host.engines.machine_code import KEPT, UserCache, code_folder
 from lfield.testing.engines import NEEDED
 from lfield.testing.golden import compile_text
 from lfield.vm.reference import Engine as Reference
 
+_NOBODY = 65534
 PROGRAM = compile_text("resource R { init(string[] arg) { print(arg.length() + 1); } }")
 
 
@@ -40,6 +44,18 @@ def made(notes: list[str]) -> dict[int, int]:
     engine = engines_for("wasm", notes.append)(PROGRAM, float)
     assert isinstance(engine, Engine)
     return engine.points
+
+
+@contextmanager
+def nobody() -> Iterator[None]:
+    """Root sees everything, so it is somebody else meanwhile."""
+    user = os.geteuid()
+    if user == 0:
+        os.seteuid(_NOBODY)
+    try:
+        yield
+    finally:
+        os.seteuid(user)
 
 
 def no_compiler(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -99,12 +115,36 @@ def test_a_service_has_its_own_folder(monkeypatch: pytest.MonkeyPatch) -> None:
     assert code_folder() == Path("/var/cache/lfield/code")
 
 
+@pytest.mark.parametrize("name", ["file", "x" * 300, "file/below", "loop"])
 def test_without_a_folder_everything_is_compiled(
-    cached: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    cached: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
 ) -> None:
     (tmp_path / "file").write_text("")
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "file"))
+    (tmp_path / "loop").symlink_to("loop")
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / name))
     assert made([])
+
+
+@pytest.mark.parametrize("home", ["", "relative"])
+def test_without_a_home_everything_is_compiled(
+    cached: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, home: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.delenv("XDG_CACHE_HOME")
+    monkeypatch.setenv("HOME", home)
+    assert code_folder() is None
+    assert made([])
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_where_this_user_may_not_look_nothing_is_kept(tmp_path: Path) -> None:
+    (tmp_path / "others").mkdir(mode=0)
+    notes: list[str] = []
+    cache = UserCache(tmp_path / "others" / "lfield" / "code", notes.append)
+    with nobody():
+        cache.put("name", b"x")
+        assert cache.get("name") is None
+    assert [note.rpartition(": ")[2] for note in notes] == ["Permission denied"]
 
 
 def test_the_name_tells_programs_reservations_and_versions_apart(
@@ -153,7 +193,7 @@ def test_where_wasmtime_cannot_be_used_the_log_says_why(monkeypatch: pytest.Monk
 _ELSEWHERE = """
 import platform, sys
 platform.machine = lambda: sys.argv[1]
-from lfield.host.engines import engines_for
+from lfield.host.engines.engines import engines_for
 from lfield.testing.golden import compile_text
 program = compile_text("resource R { init(string[] arg) { } }")
 print(engines_for("auto", print)(program, float).__class__.__module__)

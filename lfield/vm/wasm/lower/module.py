@@ -14,9 +14,8 @@ from lfield.vm.wasm.lower.routes import Irreducible
 from lfield.vm.wasm.lower.table import MATHS, RUNTIME
 from lfield.vm.wasm.lower.tables import Tables
 from lfield.vm.wasm.lower.traps import Traps
+from lfield.vm.wasm.sizes import STACK
 
-#: The size of WebAssembly's own stack, in bytes.
-STACK = 1 << 20
 #: The longest text of a function: it has two characters at least for each of the 7,654,321 bytes allowed.
 LONGEST = 15_000_000
 #: Where its tables begin, behind the registers.

@@ -1,0 +1,164 @@
+"""The process that compiles a host's program: what it costs and dies of is not the host's."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from lfield.errors import NoEngine, UsageError
+from lfield.host.engines import machine_code
+from lfield.host.engines.engines import engines_for
+from lfield.host.engines.machine_code import compiled
+from lfield.testing.engines import NEEDED
+from lfield.testing.golden import compile_text
+from lfield.vm.reference import Engine as Reference
+
+pytestmark = pytest.mark.process
+PROGRAM = compile_text("resource R { init(string[] arg) { print(arg.length() + 1); } }")
+WHOLE = 1 << 32
+Ends = Callable[[str], None]
+
+
+@pytest.fixture(autouse=True)
+def fresh(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """An empty cache folder, and no code in this process, which refuses to compile."""
+    wasmtime = pytest.importorskip("wasmtime", reason=NEEDED)
+    from lfield.vm.wasm import code
+
+    def refuse(*_: object) -> None:
+        raise AssertionError("the host itself compiles")
+
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    monkeypatch.setattr(wasmtime.Module, "__init__", refuse)
+    code._recent.clear()
+
+
+@pytest.fixture
+def ends(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Ends:
+    """Lets the process do this instead."""
+
+    def ends(script: str) -> None:
+        (tmp_path / "python").write_text(f"#!/bin/sh\n{script}\n")
+        (tmp_path / "python").chmod(0o700)
+        monkeypatch.setattr(sys, "executable", str(tmp_path / "python"))
+
+    return ends
+
+
+def started(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """Which commands are started from now on."""
+    commands: list[str] = []
+    run = subprocess.run
+
+    def told(command, **options):
+        commands.append(command)
+        return run(command, **options)
+
+    monkeypatch.setattr(subprocess, "run", told)
+    return commands
+
+
+def engine_of(notes: list[str], choice: str = "auto") -> object:
+    return engines_for(choice, notes.append)(PROGRAM, float)
+
+
+def test_one_process_compiles_program_and_runtime_and_none_what_is_kept(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    from lfield.vm.wasm import code
+
+    commands, notes = started(monkeypatch), []
+    assert not isinstance(engine_of(notes), Reference)
+    assert len(commands) == 1
+    code._recent.clear()
+    assert not isinstance(engine_of(notes), Reference)
+    assert len(commands) == 1
+    assert notes == []
+
+
+def test_without_a_folder_it_goes_by_the_pipe_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("XDG_CACHE_HOME")
+    monkeypatch.setenv("HOME", "")
+    commands, notes = started(monkeypatch), []
+    assert not isinstance(engine_of(notes), Reference)
+    assert len(commands) == 1
+    assert notes == []
+
+
+@pytest.mark.parametrize(
+    ("script", "why"),
+    [
+        ("kill -9 $$", "was ended by signal 9"),
+        ("echo no memory >&2; kill -ABRT $$", "was ended by signal 6: no memory"),
+        ("echo why >&2; echo it >&2; exit 3", "ended with status 3: it"),
+        ("exit 0", "gave no machine code"),
+        ("echo 5 7; printf short", "gave no machine code"),
+        ("echo five; printf words", "gave no machine code"),
+    ],
+)
+def test_where_it_dies_the_reference_engine_serves_with_one_line(ends: Ends, script: str, why: str) -> None:
+    ends(script)
+    notes: list[str] = []
+    assert isinstance(engine_of(notes), Reference)
+    assert notes == [
+        f"the reference engine runs the program: wasmtime cannot be used: its process that compiles {why}"
+    ]
+    with pytest.raises(UsageError, match=why):
+        engine_of(notes, "wasm")
+
+
+def test_where_it_cannot_begin_the_reference_engine_serves(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr(sys, "executable", str(tmp_path / "nothing"))
+    notes: list[str] = []
+    assert isinstance(engine_of(notes), Reference)
+    assert len(notes) == 1
+    assert "its process that compiles could not begin: " in notes[0]
+
+
+def test_a_start_does_not_hang_on_it(ends: Ends) -> None:
+    ends("exec sleep 600")
+    with pytest.raises(NoEngine, match=r"its process that compiles took longer than 0\.1 s"):
+        compiled(["(module)"], WHOLE, 0.1)
+
+
+def test_what_no_compiler_takes_is_told_with_its_reason() -> None:
+    with pytest.raises(NoEngine, match="ended with status 1: "):
+        compiled(["(module (nonsense))"], WHOLE)
+
+
+def test_what_lies_in_the_working_folder_compiles_nothing(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    (tmp_path / "wasmtime.py").write_text("raise SystemExit('a stranger')")
+    monkeypatch.chdir(tmp_path)
+    (code,) = compiled(["(module)"], WHOLE)
+    assert code.startswith(b"\x7fELF")
+
+
+#: A host that starts its process, with the streams it has itself, says which it is, and does nothing more.
+_HOST = """
+import os, subprocess, sys, time
+command = [sys.executable, "-P", "-m", sys.argv[1], str(1 << 32), str(os.getpid())]
+subprocess.Popen(command)
+time.sleep(600)
+"""
+
+
+def test_it_ends_with_its_host() -> None:
+    """However that ends. Its input stays open, so it is not that which tells it."""
+    command = [sys.executable, "-c", _HOST, machine_code._COMPILER]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as host:
+        assert host.stdout is not None
+        while not Path(f"/proc/{host.pid}/task/{host.pid}/children").read_text():
+            os.sched_yield()
+        host.send_signal(signal.SIGKILL)
+        # The other end is with both of them.
+        assert host.stdout.read() == b""
