@@ -27,7 +27,7 @@ from lfield.vm.memory.layout import (
 from lfield.vm.reference.prepare import Prepared
 from lfield.vm.wasm.lower.graph import Branch, Call, Graph, Instruction, Jump, Leave, Return, Run, Throw
 from lfield.vm.wasm.lower.operands import address_of, filled, image_of, real_constant, reference_to, row_name
-from lfield.vm.wasm.lower.routes import Routes, Switch, Test
+from lfield.vm.wasm.lower.routes import ROOT, Routes, Switch, Test
 from lfield.vm.wasm.lower.shape import Go, Item, Shape
 from lfield.vm.wasm.lower.slots import slots_of
 from lfield.vm.wasm.lower.table import ROWS, no_room
@@ -78,7 +78,7 @@ class Method:
             if isinstance(node, Switch)
             for to in node.ways.values()
         }
-        self._shape = Shape(-1, self._routes.leads_to, labelled)
+        self._shape = Shape(ROOT.test, self._routes.leads_to, labelled)
         return "\n".join([*self._head(), *self._shape.lines(self._node), "unreachable", *self._tail(), ")"])
 
     def _head(self) -> list[str]:
