@@ -6,6 +6,7 @@ import io
 import json
 import os
 import sys
+from importlib import import_module
 from pathlib import Path
 from types import ModuleType
 
@@ -18,6 +19,7 @@ from harness.processes import ChildError, Processes
 from harness.samples import in_turns, median, pair_ratios, percentile, timed
 from harness.words import BYTES, COUNT, TIMES, words
 from rich.console import Console
+from run import FIGURES
 
 HERE = Checkout(Path("/here"), sys.executable)
 THERE = Checkout(Path("/there"), sys.executable)
@@ -120,6 +122,27 @@ def test_sizes_may_be_those_of_contenders_or_of_a_part_of_a_case():
     sizes = {"1 hosts": 1, "10 hosts": 10}
     *_, a, b = rows_of(Figure("", {"c": opener}, rounds=1, sizes=sizes), HERE, silent)
     assert (a.case, b.case) == ("ten times the size: a", "ten times the size: b")
+
+
+@pytest.mark.parametrize("module", FIGURES.values())
+def test_every_figure_has_sizes_or_says_why_there_is_nothing_that_grows(module):
+    figure = import_module(module).FIGURE
+    assert bool(figure.sizes) != bool(figure.one_size)
+    assert len(set(figure.sizes.values())) != 1
+
+
+def test_rows_of_a_figures_own_grow_as_well():
+    def own(checkout, rounds, tick):
+        for count in (1, 10):
+            yield Row(f"{count} cats: fed", "a", samples=[1.0 * count])
+            yield Row("", "b", samples=[5.0 / count])
+        yield Row("10 cats: sold", "a", error="nobody came")
+
+    figure = Figure("", {}, own_rows=own, sizes={"1 cats": 1, "10 cats": 10})
+    *rows, lost, a, b = rows_of(figure, HERE, silent)
+    assert [row.size for row in rows] == [1, 1, 10, 10]
+    assert (lost.error, a.case, b.case) == ("nobody came", "ten times the size: fed", "")
+    assert [*a.samples, *b.samples] == pytest.approx([10.0, 0.1])
 
 
 def test_what_costs_nothing_or_has_one_size_does_not_grow():

@@ -84,6 +84,7 @@ FIGURE = Figure(
     {"all values change each second": knowing(0.4), "nothing changes": knowing(0.0)},
     rounds=1,
     units={PROCESSOR: PERCENT, BYTES: RATE},
+    one_size="one large team; `growth` has agents by number",
     targets={PROCESSOR: "2 %", BYTES: "20 kB/s"},
     notes=(f"{HOSTS} hosts x {AGENTS} agents x 4 live attributes, {SECONDS:g} s; links: both directions",),
 )

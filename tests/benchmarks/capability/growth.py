@@ -64,7 +64,11 @@ def _grown(verb: str, took: dict[int, float]) -> Iterator[tuple[str, list[float]
 
 
 def _case(what: str, size: int) -> str:
-    return f"{what}, {size:,} agents"
+    return f"{_team(size)}: {what}"
+
+
+def _team(size: int) -> str:
+    return f"{size:,} agents"
 
 
 def _growth(verb: str, few: int, many: int) -> str:
@@ -86,9 +90,10 @@ FIGURE = Figure(
     },
     rounds=3,
     units=dict.fromkeys(_GROWTHS, TIMES) | {_case("memory", size): "KiB" for size in SIZES},
+    sizes={_team(size): size for size in SIZES},
     targets=dict.fromkeys(_GROWTHS, "15x") | {_case("find", 1_000): "5.00 ms"},
     notes=(
-        "growth: per ten times as many agents, also where there are three times as many",
+        "growth from one size to the next: per ten times as many agents, also from 1,000 to 3,000",
         "memory: all that lives in the block of the coordinator after the find, the answer with it",
         "query: what `lfield query` does once the hosts have answered, why others are not offered too",
         "times are of the processor, in one process: what else runs here does not count",

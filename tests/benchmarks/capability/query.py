@@ -53,5 +53,6 @@ FIGURE = Figure(
     "lfield query: a command from its start to its end",
     {"from the files": asking("--files", running=False), "of two hosts": asking(running=True)},
     rounds=9,
+    one_size="two hosts; `growth` has agents by number",
     between=("from the files", "of two hosts"),
 )

@@ -169,6 +169,7 @@ FIGURE = Figure(
     {},
     rounds=TRIALS,
     own_rows=measured,
+    one_size="a device is safe by its own clock, on a quiet and on a busy computer",
     notes=(
         f"{SIDE} fakes of each device side by side; own: the device's own watchdog came first; silence: "
         + ", ".join(f"{load} {seconds:g} s" for load, seconds in SILENCE.items()),

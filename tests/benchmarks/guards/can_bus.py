@@ -134,6 +134,7 @@ FIGURE = Figure(
     {"python-can": python_can, "lfield_can": driver},
     base=("python-can",),
     rounds=5,
+    one_size="an echo is of one frame",
     targets={"lfield_can": "1.11x"},
     notes=(f"a sample is the mean of {EXCHANGES} exchanges",),
 )

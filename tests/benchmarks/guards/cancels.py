@@ -161,6 +161,7 @@ FIGURE = Figure(
         "Dynamixel": _opener(DYNAMIXEL, "Dynamixel", "dynamixel --servo 1:XM430-W350", {}, _swing),
     },
     rounds=3,
+    one_size="one device, one call",
     notes=(
         f"rounds of {CANCELS} cancels: a copter at {FAST:g} m/s, an axis and a servo at {TURNS:g} rad/s",
         "a copter answers when it is in its mode for holding: then it brakes as gently as it does",

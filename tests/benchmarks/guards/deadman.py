@@ -170,6 +170,7 @@ FIGURE = Figure(
     "The dead man's switch",
     {way.__name__: trials(way) for way in (expire, stop, kill)},
     rounds=1,
+    one_size="one busy computer with the same copters all the time",
     targets={SAFE: words(TTL + GRACE, "s"), SETPOINT: words(LATE, "s")},
     notes=(
         f"{TRIALS} trials of each; {BUSY} busy processes; {VEHICLES} copters; time-to-live {TTL * 1000:g} ms",

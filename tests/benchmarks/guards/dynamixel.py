@@ -81,6 +81,7 @@ FIGURE = Figure(
     {"dynamixel_sdk": vendor, "lfield_dynamixel": driver},
     base=("dynamixel_sdk",),
     rounds=5,
+    one_size="one exchange with one servo",
     targets={"lfield_dynamixel": "1.11x"},
     notes=(f"a sample is the mean of {EXCHANGES} exchanges",),
 )

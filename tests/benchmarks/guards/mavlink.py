@@ -65,6 +65,7 @@ FIGURE = Figure(
     "A MAVLink command; ratio to pymavlink's mavutil",
     {"pymavlink": pymavlink, "the driver alone": driver, "L, host and guard": asking(COMMANDS, 0)},
     base=("pymavlink",),
+    one_size="one command",
     targets={"the driver alone": "1.11x"},
     notes=(f"rounds of {COMMANDS} commands that move nothing",),
     between=("L, host and guard",),

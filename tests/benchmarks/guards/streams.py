@@ -67,6 +67,7 @@ FIGURE = Figure(
     base=("pymavlink",),
     rounds=3,
     units={"processor": PERCENT},
+    one_size="four vehicles, as many for each contender",
     targets={"a guard": "1.11x"},
     notes=(f"{len(SYSTEMS)} vehicles, {RATE} messages/s each, for {SECONDS:g} s",),
     between=("a guard",),

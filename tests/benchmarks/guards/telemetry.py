@@ -27,6 +27,7 @@ def asking(commands: int, batches: int) -> Opener:
 FIGURE = Figure(
     "A query of telemetry",
     {"lfield": asking(0, BATCHES)},
+    one_size="a query is of one value",
     targets={"a query of telemetry": "5 µs more"},
     notes=(f"a sample is the mean of {READS} reads; the target is against a variable",),
     between=("lfield",),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 
 from harness.checkout import Checkout
@@ -51,7 +51,8 @@ class Figure:
     """What `make bench` shows under one name.
 
     `base` names the contenders whose fastest is ratio 1. `units` and `targets` are by case or by contender, a
-    target by both, `contender: case`, too. `sizes` are those of cases, up to a colon, or of contenders.
+    target by both, `contender: case`, too. `sizes` are those of cases, up to a colon, or of contenders; where
+    there are none, `one_size` says why there is nothing that grows.
     `between` names the contenders by which two checkouts can be compared: those that use commands only.
     `own_rows` makes the rows instead of contenders, where what fails is a part of the figure.
     `ratios` are who, to whom, and what to reach: a line for each, with the least and the greatest round.
@@ -64,6 +65,7 @@ class Figure:
     units: Mapping[str, str] = field(default_factory=dict)
     targets: Mapping[str, str] = field(default_factory=dict)
     sizes: Mapping[str, float] = field(default_factory=dict)
+    one_size: str = ""
     notes: Sequence[str] = ()
     between: Sequence[str] = ()
     own_rows: OwnRows | None = None
@@ -86,7 +88,7 @@ class Figure:
 def rows_of(figure: Figure, checkout: Checkout, tick: Tick) -> Iterator[Row]:
     """Measure all contenders."""
     if figure.own_rows is not None:
-        yield from figure.own_rows(checkout, figure.rounds, tick)
+        yield from _with_growths(figure, figure.own_rows(checkout, figure.rounds, tick))
         return
     with Processes() as processes:
         openers = {name: partial(opener, checkout, processes) for name, opener in figure.contenders.items()}
@@ -105,6 +107,18 @@ def rows_of(figure: Figure, checkout: Checkout, tick: Tick) -> Iterator[Row]:
     yield from _ratios(figure, samples)
 
 
+def _with_growths(figure: Figure, rows: Iterator[Row]) -> Iterator[Row]:
+    """A figure's own rows, and how their costs grow: all samples of one are a single round."""
+    samples: Samples = {}
+    case = ""
+    for row in rows:
+        case = row.case or case
+        if row.samples:
+            samples.setdefault(row.measured, {})[case] = [list(row.samples)]
+        yield replace(row, size=figure.size(case, row.measured))
+    yield from _growths(figure, samples)
+
+
 def _ratios(figure: Figure, samples: Samples) -> Iterator[Row]:
     """What the medians of each round are to one another."""
     for case in _cases(samples):
@@ -119,7 +133,7 @@ def _ratios(figure: Figure, samples: Samples) -> Iterator[Row]:
 def _growths(figure: Figure, samples: Samples) -> Iterator[Row]:
     """How the cost of each contender grows, where it was measured at several sizes."""
     shown = ""
-    for one in series(samples, figure.sizes):
+    for one in sorted(series(samples, figure.sizes), key=lambda one: one.case):
         if grown := tenfold(one.points):
             case = f"{GROWTH}: {one.case}" if one.case else GROWTH
             target = figure.targets.get(f"{one.name}: {case}") or figure.targets.get(case, "")

@@ -71,5 +71,6 @@ FIGURE = Figure(
     {"lfield: one": keeping(1), f"lfield: each of {AT_ONCE}": keeping(AT_ONCE), "write, fdatasync": syncing},
     base=("write, fdatasync",),
     rounds=8,
+    sizes={_case(size): size for size in SIZES},
     notes=(f"rounds of {COMMITS} commits, on the disk of the temporary folder",),
 )

@@ -66,6 +66,7 @@ FIGURE = Figure(
     "A local portal call; ratio to a method call in CPython",
     {"lfield: local portal call": portal_calls, "CPython: method call, deepcopy": method_calls},
     base=("CPython: method call, deepcopy",),
+    one_size="no arguments, or one object of a fixed size",
     targets={"lfield: local portal call": "5 µs, empty"},
     notes=(f"a sample is the mean of {CALLS} calls or more; {POINTS + 2} objects",),
     between=("lfield: local portal call",),

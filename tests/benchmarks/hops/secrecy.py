@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 
 from harness.checkout import Checkout
-from harness.figure import Figure, Row
+from harness.figure import Figure, Opener
 from harness.processes import Processes
-from harness.samples import Tick, median
+from harness.samples import Contender
 from hops.stages import travel
 
 from lfield import loop
@@ -15,39 +15,40 @@ from lfield.vm.wasm.choice import has_wasm
 
 #: Bytes of live state, on top of the coordinator itself.
 SIZES = (64, 1 << 10, 8 << 10, 64 << 10)
-#: Hops of one turn; the two take turns, so that a busy moment of the computer is both's.
+#: Hops of one round; the two take turns, so that a busy moment of the computer is both's.
 HOPS = 200
 
 
-def measured(checkout: Checkout, rounds: int, tick: Tick) -> Iterator[Row]:
-    """A line for each size and way; the ratio is to the plain one."""
+def hops(*, plain: bool) -> Opener:
+    """Seconds of hops of each size; each round is two hosts of its own."""
+
+    def opener(checkout: Checkout, processes: Processes) -> Contender:
+        return lambda: {_case(size): _wholes(size, plain=plain) for size in SIZES}
+
+    return opener
+
+
+def _wholes(size: int, *, plain: bool) -> list[float]:
     engine = "wasm" if has_wasm() else "reference"
-    for size in SIZES:
-        tick(f"{size} B")
-        plain: list[float] = []
-        secret: list[float] = []
-        for _ in range(rounds):
-            plain += _wholes(size, engine, plain=True)
-            secret += _wholes(size, engine, plain=False)
-        yield Row(f"{size} B", "plain", samples=plain)
-        yield Row("", "TLS 1.3", samples=secret, ratio=median(secret) / median(plain))
-
-
-def _wholes(size: int, engine: str, *, plain: bool) -> list[float]:
     with Processes() as processes:
-        hops = loop.run(travel(processes.folder(), size, HOPS, engine, plain=plain))
-    return [_whole(hop) for hop in hops]
+        taken = loop.run(travel(processes.folder(), size, HOPS, engine, plain=plain))
+    return [_whole(hop) for hop in taken]
 
 
 def _whole(hop: Mapping[str, float]) -> float:
     return sum(hop.values())
 
 
+def _case(size: int) -> str:
+    return f"{size} B"
+
+
 FIGURE = Figure(
-    "A hop with and without TLS; ratio: to the plain one",
-    {},
+    "A hop with and without TLS; ratio to the plain one",
+    {"plain": hops(plain=True), "TLS 1.3": hops(plain=False)},
+    base=("plain",),
     rounds=10,
-    own_rows=measured,
+    sizes={_case(size): size for size in SIZES},
     notes=(
         f"rounds of {HOPS} hops of each in turn, both hosts in one process; without TLS no host listens, so "
         "only here",

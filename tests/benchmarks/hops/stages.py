@@ -93,7 +93,7 @@ coordinator Traveller {
 def measured(checkout: Checkout, rounds: int, tick: Tick) -> Iterator[Row]:
     """The stages of hops of each size, by each engine."""
     for size, engine in product(SIZES, ("reference", "wasm") if has_wasm() else ("reference",)):
-        case = f"{size} B, {engine} engine"
+        case = f"{size} B: {engine} engine"
         tick(case)
         with Processes() as processes:
             hops = loop.run(travel(processes.folder(), size, rounds * HOPS, engine))
@@ -160,6 +160,7 @@ FIGURE = Figure(
     {},
     rounds=10,
     own_rows=measured,
+    sizes={f"{size} B": size for size in SIZES},
     notes=(
         f"rounds of {HOPS} hops; every stage is what it takes itself, and half a tap (about 0.3 µs)",
         "freeze: since the exit of the engine; run: until the pcall is there again; "

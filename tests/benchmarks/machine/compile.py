@@ -86,6 +86,7 @@ FIGURE = Figure(
     "Compiling: a command from its start to its end",
     {"lfield check": command("check"), "lfield build": command("build")},
     rounds=4,
+    one_size="four given programs; `compiler` has lines by number",
     targets={f"it, {len(TYPES)} types, none used": "as without"},
     between=("lfield check", "lfield build"),
 )

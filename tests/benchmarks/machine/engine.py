@@ -79,6 +79,7 @@ FIGURE = Figure(
     },
     base=("CPython",),
     rounds=9,
+    one_size="ten programs, each with its own work",
     targets={
         "lfield, wasm: loop": "0.12x",
         "lfield, wasm: fib": "0.25x",

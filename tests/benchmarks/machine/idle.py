@@ -30,6 +30,7 @@ FIGURE = Figure(
     {"parked": small_host(idle), "polling": small_host(idle, "polling")},
     rounds=3,
     units={"processor": PERCENT},
+    one_size="one host with one small program",
     targets={"parked": "0.50 %"},
     notes=(f"each for {SECONDS:g} s",),
     between=("parked",),

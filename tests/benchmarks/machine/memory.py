@@ -35,6 +35,7 @@ FIGURE = Figure(
     _hosts(),
     rounds=3,
     units=dict.fromkeys(_KINDS, BYTES),
+    one_size="one host with one small program",
     targets={"resident": "55.0 MB"},
     between=tuple(_hosts()),
 )

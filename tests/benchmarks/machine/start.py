@@ -46,6 +46,7 @@ FIGURE = Figure(
     "The start of a host without devices",
     {**_hosts(), "bare Python that prints": bare_python},
     rounds=9,
+    one_size="one host with one small program",
     targets={"to the first portal call": "0.7 s"},
     between=tuple(_hosts()),
 )

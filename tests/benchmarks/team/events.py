@@ -75,6 +75,7 @@ FIGURE = Figure(
     {},
     rounds=8,
     own_rows=_rows,
+    one_size="an event is of one size",
     notes=(
         f"rounds of {CALLS} hops, two hosts as processes; the watcher asks for telemetry 5 times a second",
     ),

@@ -53,4 +53,5 @@ FIGURE = Figure(
     {way: flown(way) for way in WAYS},
     base=("one after another",),
     rounds=2,
+    one_size="two copters",
 )

@@ -86,6 +86,7 @@ FIGURE = Figure(
         "lfield: quorum": partial(_measured, QUORUM, by_a_majority),
     },
     rounds=8,
+    one_size="one team, whose times are given",
     targets={QUORUM: f"{INTERVAL + LEASES:g} s"},
     notes=(
         "under self nearly all of it is the start of Python",

@@ -97,6 +97,7 @@ FIGURE = Figure(
     },
     rounds=3,
     units={"more memory at its peak": BYTES},
+    one_size="one flood: however long it is, a host holds 64",
     targets={"more memory at its peak": "30.0 MB"},
     notes=(f"{MANY} are open at a time, {IN_ALL} in all; a host holds 64 that have not greeted",),
 )

@@ -52,4 +52,5 @@ FIGURE = Figure(
     {MISSION: seconds(0), TEST: seconds(1)},
     base=(MISSION,),
     rounds=3,
+    one_size="one mission",
 )

@@ -31,6 +31,13 @@ SHAPES: dict[str, Callable[[int], str]] = {
     "strings": lambda n: 'string s = "";' + "".join(f's = "{"x" * 120}{i}";' for i in range(n)),
     "loops": lambda n: "".join(f"while (k < {i}) k = h(k) + 1;" for i in range(n)),
     "tries": lambda n: "try { k = h(k); } catch (IndexException e) { k = 2; }" * n,
+    "quotients": lambda n: "".join(
+        f"try {{ k = k + 5 / {i}; }} catch (ArithmeticException e) {{ k = {i}; }}" for i in range(n)
+    ),
+    "breaks": lambda n: "".join(
+        f"while (k > {i}) {{ if (k % {i + 2} == 0) break; k = k - 1; if (k == {i}) continue; }}"
+        for i in range(n)
+    ),
     "finallies": lambda n: "try { k = h(k); } finally { k = k + 2; }" * n,
     "slots": lambda n: (
         "".join(f"int a{i} = h(k);" for i in range(n)) + "".join(f"k = k + a{i};" for i in range(n))
@@ -75,6 +82,12 @@ def _joined(text: str) -> int:
     )
 
 
+def _ways_out(text: str) -> int:
+    """What costs it the square as well: from how many places a function without locals goes to its end."""
+    functions = [f for f in text.split("\n(func ") if "(local $to_i64 " in f]
+    return max((f.count("br $exit") + f.count("$spill") for f in functions), default=0)
+
+
 @pytest.mark.parametrize("shape", SHAPES)
 def test_code_that_is_ten_times_as_long_takes_ten_times_as_long(shape, steps):
     short, long = (_prepared(_program(SHAPES[shape](n))) for n in (60, 600))
@@ -83,6 +96,7 @@ def test_code_that_is_ten_times_as_long_takes_ten_times_as_long(shape, steps):
     assert many < 12 * few
     assert len(texts[1]) < 15 * len(texts[0])
     assert _joined(texts[1]) < 20_000
+    assert _ways_out(texts[1]) < 5
 
 
 @pytest.mark.parametrize("shape", SHAPES)

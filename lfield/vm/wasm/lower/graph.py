@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from lfield.bytecode.opcodes import BY_CODE, Opcode
 from lfield.bytecode.program import CATCH, FINALLY, MethodRecord, Quad
 from lfield.vm.reference.prepare import Prepared
+from lfield.vm.wasm.lower.table import CONTROL
 
 #: A method is long whose instructions times slots, with some of our own, are more.
 LONG = 10_000
@@ -152,12 +153,12 @@ class Graph:
         """Where runs begin; notes the points behind calls and behind what leaves."""
         heads = set(self.points)
         for i in self.instructions.values():
-            name = i.row.name
-            if name in ("jmp", "bnz", "bz"):
+            ends = CONTROL.get(i.row.name)
+            if ends in ("Jump", "Branch"):
                 heads.update((i.quad.a, i.after))
                 if i.quad.a <= i.pc:
                     self.points.add(i.quad.a)
-            elif name not in ("return", "rtn", "throw") and (name == "call" or not self._lowered(i)):
+            elif ends == "Call" or not (ends or self._lowered(i)):
                 heads.add(i.after)
                 self.points.add(i.after)
         if self.long:
@@ -171,8 +172,9 @@ class Graph:
             if since.get(pc, 0) >= STRETCH:
                 self.points.add(pc)
             passed = 1 if pc in self.points else since.get(pc, 0) + 1
-            ways = [i.quad.a, i.after] if i.row.name in ("bnz", "bz") else [i.after]
-            for to in [i.quad.a] if i.row.name == "jmp" else ways:
+            ends = CONTROL.get(i.row.name)
+            ways = [i.quad.a] if ends in ("Jump", "Branch") else []
+            for to in ways if ends == "Jump" else [*ways, i.after]:
                 since[to] = max(since.get(to, 0), passed)
         return self.points
 
@@ -180,26 +182,31 @@ class Graph:
         run = Run(pc)
         while run.end is None:
             i = self.instructions[pc]
-            name, after = i.row.name, i.after
-            if name == "jmp":
-                run.end = Jump(i.quad.a)
-            elif name in ("bnz", "bz"):
-                ways = (i.quad.a, after) if name == "bnz" else (after, i.quad.a)
-                run.end = Branch(i.quad.b, *ways)
-            elif name == "call":
-                run.end = Call(i, after)
-            elif name in ("return", "rtn"):
-                run.end = Return(i)
-            elif name == "throw":
-                run.end = Throw(i)
-            elif not self._lowered(i):
-                run.end = Leave(i, after if after in self.instructions else None)
-            else:
+            run.end = self._end(i)
+            if run.end is None:
                 run.work.append(i)
-                pc = after
+                pc = i.after
                 if pc in heads:
                     run.end, run.falls = Jump(pc), True
         return run
+
+    def _end(self, i: Instruction) -> End | None:
+        """How an instruction ends the run that it is in; None: it does not."""
+        match CONTROL.get(i.row.name):
+            case "Jump":
+                return Jump(i.quad.a)
+            case "Branch":
+                ways = (i.quad.a, i.after) if i.row.name == "bnz" else (i.after, i.quad.a)
+                return Branch(i.quad.b, *ways)
+            case "Call":
+                return Call(i, i.after)
+            case "Return":
+                return Return(i)
+            case "Throw":
+                return Throw(i)
+        if self._lowered(i):
+            return None
+        return Leave(i, i.after if i.after in self.instructions else None)
 
     def leads_to(self, pc: int) -> list[int]:
         """Where control may go from a run: by itself, by what is thrown in it, and when it is resumed."""

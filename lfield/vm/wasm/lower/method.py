@@ -27,7 +27,7 @@ from lfield.vm.memory.layout import (
 from lfield.vm.reference.prepare import Prepared
 from lfield.vm.wasm.lower.graph import Branch, Call, Graph, Instruction, Jump, Leave, Return, Run, Throw
 from lfield.vm.wasm.lower.operands import address_of, filled, image_of, real_constant, reference_to, row_name
-from lfield.vm.wasm.lower.routes import Routes, Switch, Test
+from lfield.vm.wasm.lower.routes import ROOT, Routes, Switch, Test
 from lfield.vm.wasm.lower.shape import Go, Item, Shape
 from lfield.vm.wasm.lower.slots import slots_of
 from lfield.vm.wasm.lower.table import ROWS, no_room
@@ -58,8 +58,8 @@ class Method:
         #: What it copies to the heap, by the name of the segment.
         self.segments: dict[str, bytes] = {}
         types = [self._type(t) for t in method.slots]
-        self.slots = slots_of(types, method.parameters + 1, long=graph.long)
         self.result = "" if self._kind(method.result) == VOID else self._type(method.result)
+        self.slots = slots_of(types, method.parameters + 1, self.result, long=graph.long)
         self.words = prepared.layouts.frame_words[index]
 
     def _kind(self, index: int) -> int:
@@ -78,7 +78,7 @@ class Method:
             if isinstance(node, Switch)
             for to in node.ways.values()
         }
-        self._shape = Shape(-1, self._routes.leads_to, labelled)
+        self._shape = Shape(ROOT.test, self._routes.leads_to, labelled)
         return "\n".join([*self._head(), *self._shape.lines(self._node), "unreachable", *self._tail(), ")"])
 
     def _head(self) -> list[str]:
@@ -172,7 +172,7 @@ class Method:
                 return [condition, "if", *go(first(yes)), "end", *go(first(no))]
             case Call(what, to):
                 if not self._calls(what):
-                    return list(self._gone(what.pc, 1, STEP))
+                    return list(self.slots.gone(what.pc, 1, STEP))
                 return [*self._call(what), *go(first(to))]
             case Return(what):
                 value = ""
@@ -182,22 +182,13 @@ class Method:
             case Throw(what):
                 thrown = self._value(what.quad.a, "i64")
                 null = self._leave(f"(i64.eqz {thrown})", what.pc, 1)
-                return [*null, f"(global.set $word {thrown})", *self._gone(what.pc, 0, THROWN)]
+                return [*null, f"(global.set $word {thrown})", *self.slots.gone(what.pc, 0, THROWN)]
             case end:
                 assert isinstance(end, Leave)
-                return list(self._gone(end.what.pc, 0, STEP))
-
-    def _gone(self, pc: int, refund: int, status: int) -> list[str]:
-        """Leaves at an instruction; `refund` are those paid for that are not done."""
-        left = f"(i64.add ({self.slots.scope}.get $left) (i64.const {refund}))"
-        return [
-            f"(global.set $pc (i32.const {pc})) (global.set $left {left})",
-            f"(global.set $status (i32.const {status}))",
-            "br $exit",
-        ]
+                return list(self.slots.gone(end.what.pc, 0, STEP))
 
     def _leave(self, condition: str, pc: int, refund: int, status: int = STEP) -> list[str]:
-        return [condition, "if", *self._gone(pc, refund, status), "end"]
+        return [condition, "if", *self.slots.gone(pc, refund, status), "end"]
 
     # --- instructions ---------------------------------------------------------------------------------
 
@@ -264,7 +255,7 @@ class Method:
     def _trap(self, condition: str, number: int, pc: int, refund: int, told: str = "") -> list[str]:
         """Throws, where a condition holds, what the machine itself throws; the instruction is paid for."""
         trap = f"{told} (global.set $trap (i32.const {number}))"
-        return [condition, "if", trap, *self._gone(pc, refund - 1, TRAPPED), "end"]
+        return [condition, "if", trap, *self.slots.gone(pc, refund - 1, TRAPPED), "end"]
 
     def _operands(self, i: Instruction) -> dict[str, Any]:
         """What the braces of a row stand for."""
@@ -352,7 +343,7 @@ class Method:
             f"(call $m{i.quad.a} (local.get $p) (i32.const 0) {' '.join(arguments)})",
             "local.set $status",
             f"local.set {result}" if result else "",
-            "(br_if $spill (local.get $status))",
+            self.slots.followed,
             self.slots.taken,
             kept,
         ]

@@ -11,6 +11,7 @@ from lfield.vm.wasm.lower.driver import GLOBALS, driver
 from lfield.vm.wasm.lower.maths import maths_name, maths_text
 from lfield.vm.wasm.lower.method import Method
 from lfield.vm.wasm.lower.routes import Irreducible
+from lfield.vm.wasm.lower.slots import GONE
 from lfield.vm.wasm.lower.table import MATHS, RUNTIME
 from lfield.vm.wasm.lower.tables import Tables
 from lfield.vm.wasm.lower.traps import Traps
@@ -57,6 +58,7 @@ def module(prepared: Prepared) -> Module:
         f"(table {count} funcref)",
         f"(elem (i32.const 0) func {' '.join(f'$e{i}' if i in methods else '$none' for i in range(count))})",
         "(func $none (type $entry) unreachable)",
+        GONE,
         *(_entry(m) for m in methods.values()),
         *functions,
         traps.text(),

@@ -8,6 +8,7 @@ passes. A loop whose only point is its own header needs none: the innermost ones
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from lfield.vm.wasm.lower.flow import domination, dominators, predecessors, reverse_postorder
 from lfield.vm.wasm.lower.graph import Branch, Call, Graph, Jump, Run
@@ -31,6 +32,22 @@ class Switch:
 Node = Run | Test | Switch
 
 
+class Door(NamedTuple):
+    """The two nodes by which who resumes comes into a loop, or into the method."""
+
+    test: int
+    switch: int
+
+
+def _door(number: int) -> Door:
+    """Below 0, where no instruction is."""
+    return Door(-1 - 2 * number, -2 - 2 * number)
+
+
+#: The method's own.
+ROOT = _door(0)
+
+
 class Irreducible(Exception):
     """Control enters a loop at several places: no compiler of ours makes that, and no engine must run it."""
 
@@ -50,10 +67,16 @@ class Routes:
         points = [pc for pc in sorted(order) if pc in graph.points]
         self.numbers = {pc: i for i, pc in enumerate(points, 1)}
         loops = self._loops(order, before)
-        #: By header: the node of its test, for loops that have one.
-        self._tests: dict[int, int] = {}
-        self.nodes: dict[int, Node] = {pc: graph.runs[pc] for pc in order}
-        self._route(points, loops)
+        around: dict[int, list[int]] = {pc: [] for pc in points}
+        for header, body in loops.items():
+            for pc in body & around.keys():
+                around[pc].append(header)
+        inside = {header for pc, headers in around.items() for header in headers if header != pc}
+        #: By header, for loops with points inside.
+        self._doors = {
+            header: _door(number) for number, header in enumerate((h for h in loops if h in inside), 1)
+        }
+        self.nodes: dict[int, Node] = {pc: graph.runs[pc] for pc in order} | self._entries(around)
 
     def _loops(self, order: list[int], before: dict[int, list[int]]) -> dict[int, set[int]]:
         """The nodes of each loop by its header, outer loops first; raises Irreducible."""
@@ -74,31 +97,22 @@ class Routes:
                     pending += before[pc]
         return loops
 
-    def _route(self, points: list[int], loops: dict[int, set[int]]) -> None:
-        around: dict[int, list[int]] = {pc: [] for pc in points}
-        for header, body in loops.items():
-            for pc in body & around.keys():
-                around[pc].append(header)
-        tested = {header for pc, headers in around.items() for header in headers if header != pc}
-        # The root's are the nodes -1 and -2; those of a loop follow.
-        self._tests = {header: -3 - 2 * i for i, header in enumerate(h for h in loops if h in tested)}
-        ways: dict[int, dict[int, int]] = {-1: {}, **{test: {} for test in self._tests.values()}}
-        for pc in points:
-            at = -1
-            for header in around[pc]:
-                if (test := self._tests.get(header)) is not None:
-                    ways[at][self.numbers[pc]] = test
-                    at = test
+    def _entries(self, around: dict[int, list[int]]) -> dict[int, Node]:
+        """The tests and switches: who resumes goes by the root's, then by those of the loops around."""
+        ways: dict[Door, dict[int, int]] = {door: {} for door in (ROOT, *self._doors.values())}
+        for pc, headers in around.items():
+            at = ROOT
+            for door in (self._doors[header] for header in headers if header in self._doors):
+                ways[at][self.numbers[pc]] = door.test
+                at = door
             ways[at][self.numbers[pc]] = pc
-        self.nodes[-1] = Test(-2, self.first(self._graph.entry))
-        for header, test in self._tests.items():
-            self.nodes[test] = Test(test - 1, header)
-        for test, found in ways.items():
-            self.nodes[test - 1] = Switch(found)
+        behind = {ROOT: self.first(self._graph.entry)} | {door: pc for pc, door in self._doors.items()}
+        tests = {door.test: Test(door.switch, on) for door, on in behind.items()}
+        return {**tests, **{door.switch: Switch(found) for door, found in ways.items()}}
 
     def first(self, pc: int) -> int:
         """The node that a jump to a run leads to: the test of its loop, if it begins one that has a test."""
-        return self._tests.get(pc, pc)
+        return self._doors[pc].test if pc in self._doors else pc
 
     def leads_to(self, node: int) -> list[int]:
         """Where control goes from a node within the method."""

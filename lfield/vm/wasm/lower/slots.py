@@ -2,7 +2,8 @@
 
 Locals make loops fast. But every way out writes all of them to the frame and every point reads them, and what
 meets there from hundreds of places costs the compiler the square of their number. So in a long method they
-stay in the frame, the budget and the point in globals: nothing meets, and a line costs what a line costs.
+stay in the frame, the budget and the point in globals, and each way out returns where it is: nothing meets,
+and a line costs what a line costs.
 """
 
 from __future__ import annotations
@@ -13,12 +14,21 @@ from lfield.vm.memory.layout import FRAME_SLOTS
 
 #: Parameters that a function of WebAssembly may have; two are ours.
 PARAMETERS = 1000 - 2
+#: Notes where a method without locals is left; its result is how, again.
+GONE = """
+(func $gone (param $frame i32) (param $pc i32) (param $refund i64) (param $status i32) (result i32)
+  (global.set $frame (local.get $frame))
+  (global.set $pc (local.get $pc))
+  (global.set $left (i64.add (global.get $left) (local.get $refund)))
+  (global.set $status (local.get $status))
+  (local.get $status))
+"""
 
 
-def slots_of(types: Sequence[str], parameters: int, *, long: bool) -> Locals | Framed:
+def slots_of(types: Sequence[str], parameters: int, result: str, *, long: bool) -> Locals | Framed:
     """The slots of a method by their types in WebAssembly; the first are its parameters."""
     if long or parameters > PARAMETERS:
-        return Framed(types, parameters)
+        return Framed(types, parameters, result)
     return Locals(types, parameters)
 
 
@@ -44,6 +54,8 @@ class Locals:
             "))",
         ]
         self.written = [_store("$frame", i, t, self.value(i)) for i, t in enumerate(types)]
+        #: Behind a call, where the callee has not returned.
+        self.followed = "(br_if $spill (local.get $status))"
         #: Before and behind a call: the budget is the callee's.
         self.handed, self.taken = (
             "(global.set $left (local.get $left))",
@@ -61,6 +73,15 @@ class Locals:
     def kept(self, slot: int) -> str:
         """Behind that instruction."""
         return ""
+
+    def gone(self, pc: int, refund: int, status: int) -> list[str]:
+        """Leaves at an instruction; `refund` are those paid for that are not done."""
+        left = f"(i64.add (local.get $left) (i64.const {refund}))"
+        return [
+            f"(global.set $pc (i32.const {pc})) (global.set $left {left})",
+            f"(global.set $status (i32.const {status}))",
+            "br $exit",
+        ]
 
     def given(self, kind: str, value: str) -> str:
         """Where the method returns a value of that type; then the way to its end."""
@@ -80,7 +101,7 @@ class Framed:
 
     scope = "global"
 
-    def __init__(self, types: Sequence[str], parameters: int) -> None:
+    def __init__(self, types: Sequence[str], parameters: int, result: str) -> None:
         self.types = types
         self.parameters: list[str] = []
         self.nothing: list[str] = []
@@ -94,6 +115,8 @@ class Framed:
             f"(then (memory.fill {behind} (i32.const 0) (i32.const {rest}))))",
         ]
         self.written: list[str] = []
+        self._returns = "return (local.get $value)" if result else "return"
+        self.followed = f"(if (local.get $status) (then ({self._returns} (local.get $status))))"
         self.handed, self.taken = "", ""
 
     def value(self, slot: int) -> str:
@@ -107,6 +130,11 @@ class Framed:
     def kept(self, slot: int) -> str:
         """Behind that instruction."""
         return _store("$frame", slot, self.types[slot], f"(local.get {self.target(slot)})")
+
+    def gone(self, pc: int, refund: int, status: int) -> list[str]:
+        """Leaves at an instruction; `refund` are those paid for that are not done."""
+        how = f"(local.get $frame) (i32.const {pc}) (i64.const {refund}) (i32.const {status})"
+        return [f"({self._returns} (call $gone {how}))"]
 
     def given(self, kind: str, value: str) -> str:
         """Where the method returns a value of that type; then the way to its end."""

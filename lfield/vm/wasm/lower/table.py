@@ -11,8 +11,11 @@ to. `{t}` is the type of the slot that a value comes from or goes to. More lines
     index {c}          throws where an index is outside of the array at $p
 
 So a row has only what is common; whatever is rare has one description, that of the reference engine. The
-locals `x`, `y` (i64), `u` (f64) and `p` (i32) are free for every row. What is in no row leaves. So does what
-takes long, as with long strings and arrays: a run of so many instructions must have an end soon.
+locals `x`, `y` (i64), `u` (f64) and `p` (i32) are free for every row.
+
+What ends a run of instructions is in CONTROL instead: its text has the ways to other runs in it, which are
+nested (`Method._end`). What is pushed and popped is an operand of its head (GROUPED). What is in none leaves. So
+does what takes long, as with long strings and arrays: a run of so many instructions must have an end soon.
 """
 
 from __future__ import annotations
@@ -292,6 +295,19 @@ ROWS: dict[str, str] = {
     **{name: _maths(name, "{0}", "{1}") for name in ("atan2", "pow")},
     "modf": _maths("modf", "{b}", "{c}"),
 }
+
+#: How an instruction ends a run: the class in `graph.py`, whose text is a case of `Method._end`.
+CONTROL = {
+    "jmp": "Jump",
+    "bnz": "Branch",
+    "bz": "Branch",
+    "call": "Call",
+    "return": "Return",
+    "rtn": "Return",
+    "throw": "Throw",
+}
+#: No instructions of their own: the head of their group is one with its operands.
+GROUPED = ("push", "pop")
 
 #: What rows call, from the runtime (`lfield.vm.wasm.runtime`), and its type.
 RUNTIME = {

@@ -1,0 +1,31 @@
+"""The table of what the engine does itself: every instruction is in one place of it, or leaves."""
+
+from __future__ import annotations
+
+from collections import Counter
+
+from lfield.bytecode.opcodes import BY_NAME
+from lfield.vm.wasm.lower import graph
+from lfield.vm.wasm.lower.table import CONTROL, GROUPED, ROWS
+
+#: What the reference engine does: the world can see it, or it is rare, or long.
+_LEAVES = """
+    pcall gather begin start fetch leave limit settle hold take drop find findall offers explain device
+    write_int write_float write_str write_bool print_int print_float print_str print_bool
+    yield sleep now lived random random_int heartbeat_interval agent host teams
+    s2f f2s f2s_digits exc_message exc_type exc_source exc_others noreturn
+"""
+
+
+def test_every_instruction_is_in_one_place() -> None:
+    rows = {name.partition(" of ")[0] for name in ROWS}
+    assert Counter([*rows, *CONTROL, *GROUPED, *_LEAVES.split()]) == Counter(BY_NAME.keys())
+
+
+def test_what_the_world_can_see_leaves() -> None:
+    assert {name for name, opcode in BY_NAME.items() if opcode.exits} <= set(_LEAVES.split())
+
+
+def test_every_end_of_a_run_is_one_that_the_graph_knows() -> None:
+    ends = {name: getattr(graph, end) for name, end in CONTROL.items()}
+    assert all(end in graph.End.__args__ for end in ends.values())
