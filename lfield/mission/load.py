@@ -321,7 +321,7 @@ def compile_file(
 def mission_problems(deploy: Path) -> list[Finding]:
     """What is found between the files of a deployment that has no mistakes itself.
 
-    That a device is not bound is none: it may be elsewhere, or simulated.
+    That a device is not bound is no error: it may be simulated.
     """
     program = beside(deploy, ".L")
     if program is None:
@@ -329,8 +329,9 @@ def mission_problems(deploy: Path) -> list[Finding]:
     found: list[Finding] = []
     bound = Bindings()
     try:
-        if beside(deploy, DEVICES):
+        if (devices := beside(deploy, DEVICES)) is not None:
             whole = load_mission(deploy, simulate=True)
+            found += _without_fakes(whole, devices)
             found += [Remark(told, "warning") for told in _stated_twice(whole)]
             bound = whole.bindings
         loaded = compile_file(program)[0]
@@ -343,6 +344,15 @@ def mission_problems(deploy: Path) -> list[Finding]:
     except BindingError as error:
         return [*error.findings, *(Remark(problem) for problem in error.problems[len(error.findings) :])]
     return [*found, *_doubts(deployment, mission)]
+
+
+def _without_fakes(mission: Mission, devices: Path) -> Sequence[Finding]:
+    """What is wrong with a devices file where its devices are not simulated, and what it does not bind."""
+    try:
+        rebound(mission, devices)
+    except BindingError as error:
+        return error.findings or [Remark(problem, "warning") for problem in error.problems]
+    return []
 
 
 def check_file(path: Path) -> Sequence[Finding]:
