@@ -51,7 +51,7 @@ class Finding(Protocol):
 
     @property
     def severity(self) -> str:
-        """`error` or `warning`."""
+        """`error`, `warning`, or `note`, which is neither."""
 
     def render(self) -> str:
         """The finding for a reader, in several lines without the last newline."""

@@ -10,4 +10,5 @@ PLUGIN = Plugin(
     requires=("can", "canopen", "cantools"),
     manifests=("axis.yaml", "signals.yaml"),
     kit="lfield_can.kit:KIT",
+    endpoint="lfield_can.bus.endpoint:parse_endpoint",
 )

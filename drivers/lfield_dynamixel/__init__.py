@@ -10,4 +10,5 @@ PLUGIN = Plugin(
     requires=("dynamixel_sdk", "serial"),
     manifests=("servo.yaml", "group.yaml"),
     kit="lfield_dynamixel.kit:KIT",
+    endpoint="lfield.driver.serial:parse_serial_endpoint",
 )

@@ -14,4 +14,5 @@ PLUGIN = Plugin(
     extra="mavlink",
     requires=("pymavlink", "serial"),
     kit="lfield_mavlink.kit:KIT",
+    endpoint="lfield_mavlink.link.links:parse_endpoint",
 )

@@ -12,7 +12,7 @@ from lfield.devices.keeper import Guard
 from lfield.driver.binding import DeviceBinding
 from lfield.driver.contract import Manifest
 from lfield.driver.kit import SAFE, Check, CheckFailed, Finding, run_kit
-from lfield.driver.kit_checks import KIT, LAST
+from lfield.driver.kit_checks import KIT, LAST, endpoint_check
 from lfield.driver.plugins import Installed, Plugins
 from lfield.errors import DeviceError
 from lfield.guard.core import QUIET_BY, SILENCE
@@ -154,7 +154,8 @@ def _holds(condition: Callable[[], bool]) -> bool:
 def checks_of(installed: Installed) -> list[Check]:
     """What every driver must pass, the driver's own checks, and what those have left. Raises PluginError."""
     own: Any = installed.plugin.load_kit() if installed.plugin.kit else None
-    return [*KIT.checks, *(own.checks if own is not None else ()), *LAST.checks]
+    endpoint = [endpoint_check(installed.plugin)] if installed.plugin.endpoint else []
+    return [*endpoint, *KIT.checks, *(own.checks if own is not None else ()), *LAST.checks]
 
 
 async def try_devices(

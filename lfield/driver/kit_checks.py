@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 
 from lfield.driver.contract import WATCHDOG
-from lfield.driver.kit import SAFE, Bench, CheckFailed, Kit, NotTried, held, refused, rested
+from lfield.driver.kit import SAFE, Bench, Check, CheckFailed, Kit, NotTried, held, refused, rested
+from lfield.driver.plugin import Plugin
 from lfield.driver.values import conform
 from lfield.errors import DeviceError
 from lfield.manifest import LEAVE, NEVER, Instruction, Quantity
@@ -14,8 +15,28 @@ KIT = Kit()
 #: What is looked at when the driver's own checks have run.
 LAST = Kit()
 
+#: Texts that are an endpoint of no driver.
+NO_ENDPOINTS = ("", "nothing", "nothing:")
+
 #: Seconds for all telemetry to be there.
 TELEMETRY = 10.0
+
+
+def endpoint_check(plugin: Plugin) -> Check:
+    """Before it is opened its driver takes its endpoint for one, and no text that is none.
+
+    For a plugin that says which texts are endpoints.
+    """
+
+    async def check(bench: Bench) -> str:
+        if why := plugin.why_no_endpoint(bench.binding.endpoint):
+            raise CheckFailed(f"it is open, and told to be none: {why}")
+        for text in NO_ENDPOINTS:
+            if not plugin.why_no_endpoint(text):
+                raise CheckFailed(f"it takes '{text}' for an endpoint")
+        return "what is none is told before anything is opened"
+
+    return Check("endpoint", check, moves=False)
 
 
 @KIT.check("identity", moves=False)

@@ -13,7 +13,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from lfield.errors import PluginError
+from lfield.errors import DeviceError, PluginError
 
 if TYPE_CHECKING:
     from lfield.driver.contract import Manifest
@@ -29,7 +29,8 @@ class Plugin:
     include as `<servo/gripper.L>`, and may hold a `capabilities.yaml`: what these can do. `driver` is the
     path of the driver's class and `kit` that of its conformance kit (`package.kit:KIT`), both imported only
     where they run; `extra` is that of lfield with the vendor modules in `requires`, '' for a driver of one's
-    own.
+    own. `endpoint` is the path of a function that parses the text of an endpoint and raises DeviceError for
+    one that is none: it opens nothing, and runs where missions are built; '' where only opening one tells.
     """
 
     name: str
@@ -39,6 +40,7 @@ class Plugin:
     requires: tuple[str, ...] = ()
     manifests: tuple[str, ...] = ("manifest.yaml",)
     kit: str = ""
+    endpoint: str = ""
 
     @property
     def missing(self) -> list[str]:
@@ -111,11 +113,30 @@ class Plugin:
             raise PluginError(f"driver '{self.name}' has no conformance kit")
         return self._load(self.kit)
 
+    def why_no_endpoint(self, text: str) -> str:
+        """Why a text is no endpoint of its, as far as that is known unopened; '' for one.
+
+        Raises PluginError where the driver does not say so but breaks.
+        """
+        if not self.endpoint or self.missing:
+            return ""  # A desk need not have the vendor modules of its robots.
+        parse = self._named(self.endpoint)
+        try:
+            parse(text)
+        except DeviceError as error:
+            return error.reason
+        except Exception as error:  # foreign code, as below
+            raise PluginError(f"driver '{self.name}' cannot parse the endpoint '{text}': {error}") from error
+        return ""
+
     def _load(self, path: str) -> Any:
-        module, _, name = path.partition(":")
         missing = [vendor for vendor in self.requires if not _importable(vendor)]
         if missing:
             raise PluginError(f"driver '{self.name}' needs {', '.join(missing)}: {self.to_install}")
+        return self._named(path)
+
+    def _named(self, path: str) -> Any:
+        module, _, name = path.partition(":")
         try:
             return getattr(importlib.import_module(module), name)
         except Exception as error:  # a plugin is foreign code: whatever it raises on import is its fault
@@ -151,3 +172,12 @@ def check_same(known: KnownDriver, plugin: Plugin) -> None:
                 f"({file.name} differs): install {known.to_install} here, or build the mission again with "
                 "the driver that its robots have"
             )
+
+
+def why_no_endpoint(known: KnownDriver, text: str) -> str:
+    """Why a text is no endpoint of a driver; '' for one, and where the driver is not installed here."""
+    try:
+        plugin = load_plugin(known.reference)
+    except PluginError:
+        return ""
+    return plugin.why_no_endpoint(text)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 
 from lfield.manifest import DeviceValue
 
@@ -42,7 +43,8 @@ def _real(value: object) -> DeviceValue:
     if type(value) is float:
         return value
     if isinstance(value, int | float) and not isinstance(value, bool):
-        return float(value)
+        with suppress(OverflowError):  # a whole number that no real can hold
+            return float(value)
     raise _unfit(value, "real")
 
 

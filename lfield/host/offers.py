@@ -9,7 +9,7 @@ import math
 from collections.abc import Collection, Mapping
 from functools import lru_cache
 
-from lfield.capability.matching.explain import render
+from lfield.capability.matching.explain import nobody_serves, render
 from lfield.capability.matching.expression import compile_wish
 from lfield.capability.matching.matcher import Matcher
 from lfield.capability.model import ANYBODY, Registry, Value, Wish
@@ -101,7 +101,7 @@ class Answers:
         answer = self._matcher.find(capability, wish)
         refusals = self._matcher.explain(capability, wish.condition)
         if not answer.count and not refusals:
-            return f"no agent of this program serves {capability}, alone or with others"
+            return nobody_serves(capability)
         agents = self._matcher.agents(capability, wish)
         return "\n".join([*answer.summary(agents), *filter(None, [render(refusals)])])
 

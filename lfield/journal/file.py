@@ -22,6 +22,7 @@ from lfield.journal.store import Store
 from lfield.text.private import private_folder
 
 _FULL = "its disk is full: it writes into the space that was kept in advance"
+_NO_MORE = "its disk has room for what is here, and for no more"
 #: Bytes for which room is kept for what a call gives that was begun.
 RESULT = 1024
 _MAKE_ROOM = "make room on that disk"
@@ -96,8 +97,8 @@ class FileJournal(Grouped):
             except sqlite3.Error as error:
                 if primary(error) not in (sqlite3.SQLITE_FULL, sqlite3.SQLITE_IOERR):
                     raise
-                trouble = _FULL
                 self._reserve.give_up()
+                trouble = self._full
                 # What is in the log already makes room for what comes.
                 self._restart_log()
                 self._write(changes)
@@ -158,8 +159,13 @@ class FileJournal(Grouped):
         try:
             self._reserve.hold(sum(self._held.values()))
         except OSError:
-            return _FULL
+            return self._full
         return ""
+
+    @property
+    def _full(self) -> str:
+        """What is said of a disk that is full."""
+        return _FULL if self._reserve.given_up else _NO_MORE
 
     def _restart_log(self) -> None:
         with suppress(sqlite3.Error):

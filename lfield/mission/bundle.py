@@ -199,7 +199,8 @@ def _decoded(name: str, decoder: msgspec.msgpack.Decoder[Any], parts: Mapping[st
 
 def _team(rows: list[Row], program: Program, addresses: Mapping[str, str]) -> Team:
     check_rows(rows, program.units)
-    return team_of(rows, program.units, {}).at(addresses)
+    kinds = {name: kind for name, kind in program.units.items() if kind != "class"}
+    return team_of(rows, kinds, {}).at(addresses)
 
 
 def _registry(data: memoryview, bindings: Bindings) -> Registry | None:

@@ -12,10 +12,8 @@ from pathlib import Path
 from lfield.bytecode.encoding import MAX_SIZE, decode
 from lfield.bytecode.program import Program, UnitKind
 from lfield.capability.model import Registry
-from lfield.capability.reading.reader import is_shipped
+from lfield.capability.types.compiled import promised_wrongly, settled
 from lfield.capability.types.language import RegistryTypes
-from lfield.capability.types.live_units import settle_live
-from lfield.capability.types.program_check import check_questions, check_types
 from lfield.driver.known import KnownDrivers
 from lfield.driver.plugins import Plugins, discover
 from lfield.errors import (
@@ -35,7 +33,7 @@ from lfield.mission.bindings_file import read_bindings
 from lfield.mission.mission import Mission, makers_of, needed_devices
 from lfield.mission.team import Team, parse_maps, team_of
 from lfield.text.files import look_at, read_head, reason
-from lfield.text.source import Diagnostic, Diagnostics, Remark
+from lfield.text.source import Diagnostic, Remark
 from lfield.text.suggest import listed
 from lfield.vm.offers import ways
 
@@ -94,7 +92,7 @@ def load_mission(
         doubled=doubled,
     )
     drivers = makers_of(plugins, {device.type for device in bindings.all})
-    registry = _settled(types.registry, loaded, plugins, hollow) if ways(loaded) else None
+    registry = settled(types.registry, loaded, plugins, hollow) if ways(loaded) else None
     chosen = chosen_fakes(bindings, undoubled(needed, doubled), plugins, team.types) if simulate else []
     access = _access(deploy, team, loaded, types)
     mission = Mission(deploy.stem, loaded, team, bindings, drivers, registry, access=access)
@@ -243,28 +241,6 @@ def _hollow(deploy: Path, doubled: Collection[str]) -> frozenset[str]:
     return frozenset(agent.type for agent in agents if agent.type not in run)
 
 
-def _settled(registry: Registry, program: Program, plugins: Plugins, hollow: Collection[str]) -> Registry:
-    """The registry with live attributes in their units, whatever the unit in which a device tells them.
-
-    What we ship may not fit a resource of the program that only has the name of ours: then it does not count.
-    No device tells anything of `hollow` types.
-    """
-    found = Diagnostics()
-    settled = settle_live(registry, _devices(program, hollow), plugins.device_types, found)
-    if wrong := [mistake for mistake in found.errors if not is_shipped(mistake)]:
-        raise ProgramError(wrong)
-    return settled
-
-
-def _devices(program: Program, hollow: Collection[str]) -> dict[str, dict[str, str]]:
-    """The devices of each resource type, by their fields."""
-    return {
-        record.name: {field.name: field.type for field in record.devices}
-        for record in program.core.classes
-        if record.name not in hollow
-    }
-
-
 def agents_of(deploy: Path) -> list[str] | None:
     """The ids of a deployment; None when it has mistakes: whoever needs the rest of it reports them."""
     try:
@@ -278,7 +254,17 @@ def _program(
 ) -> tuple[Program, list[Diagnostic]]:
     if path.suffix == ".L":
         return compile_file(path, plugins, types, doubled)
-    return _read_program(path), []
+    program = _read_program(path)
+    if mistakes := _promised_wrongly(types, program, plugins, doubled):
+        raise ProgramError(mistakes)
+    return program, []
+
+
+def _promised_wrongly(
+    types: RegistryTypes, program: Program, plugins: Plugins, doubled: Collection[str]
+) -> list[Diagnostic]:
+    """Where the registry that a mission has of its own does not fit the program."""
+    return promised_wrongly(types.registry, types.own, program, plugins, doubled) if types.own else []
 
 
 def load_program(path: Path) -> Program:
@@ -327,21 +313,15 @@ def compile_file(
     if checked.program is None:
         raise ProgramError(checked.diagnostics)
     program = compile_program(checked.program)
-    if capabilities.own is not None:
-        found = Diagnostics()
-        resources = [name for name, kind in program.units.items() if kind == "resource"]
-        check_types(capabilities.registry, capabilities.own, resources, known.find_source, found)
-        check_questions(capabilities.registry, program, found)
-        settle_live(capabilities.registry, _devices(program, doubled), known.device_types, found)
-        if mistakes := [mistake for mistake in found.in_order() if not is_shipped(mistake)]:
-            raise ProgramError([*checked.diagnostics, *mistakes])
+    if mistakes := _promised_wrongly(capabilities, program, known, doubled):
+        raise ProgramError([*checked.diagnostics, *mistakes])
     return program, checked.diagnostics
 
 
 def mission_problems(deploy: Path) -> list[Finding]:
     """What is found between the files of a deployment that has no mistakes itself.
 
-    That a device is not bound is none: it may be elsewhere, or simulated.
+    That a device is not bound is no error: it may be simulated.
     """
     program = beside(deploy, ".L")
     if program is None:
@@ -349,8 +329,9 @@ def mission_problems(deploy: Path) -> list[Finding]:
     found: list[Finding] = []
     bound = Bindings()
     try:
-        if beside(deploy, DEVICES):
+        if (devices := beside(deploy, DEVICES)) is not None:
             whole = load_mission(deploy, simulate=True)
+            found += _without_fakes(whole, devices)
             found += [Remark(told, "warning") for told in _stated_twice(whole)]
             bound = whole.bindings
         loaded = compile_file(program)[0]
@@ -363,6 +344,15 @@ def mission_problems(deploy: Path) -> list[Finding]:
     except BindingError as error:
         return [*error.findings, *(Remark(problem) for problem in error.problems[len(error.findings) :])]
     return [*found, *_doubts(deployment, mission)]
+
+
+def _without_fakes(mission: Mission, devices: Path) -> Sequence[Finding]:
+    """What is wrong with a devices file where its devices are not simulated, and what it does not bind."""
+    try:
+        rebound(mission, devices)
+    except BindingError as error:
+        return error.findings or [Remark(problem, "warning") for problem in error.problems]
+    return []
 
 
 def check_file(path: Path) -> Sequence[Finding]:

@@ -12,7 +12,7 @@ import msgspec
 from lfield.errors import UsageError
 from lfield.net.transport import DEFAULT_PORT
 from lfield.text.suggest import did_you_mean, listed
-from lfield.vm.agent import Member
+from lfield.vm.agent import AgentKind, Member
 
 #: What is said of an agent in a deployment: type, id, host, and arguments. Of a witness, a host without
 #: agents, there is only the host.
@@ -96,7 +96,7 @@ class Team:
         )
 
 
-def team_of(rows: Iterable[Row], kinds: Mapping[str, str], ports: Mapping[str, int]) -> Team:
+def team_of(rows: Iterable[Row], kinds: Mapping[str, AgentKind], ports: Mapping[str, int]) -> Team:
     """The team of some rows. `kinds` says of each type whether it is a resource or a coordinator.
 
     A host without a port has the default one.

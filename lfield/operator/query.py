@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
 
-from lfield.bytecode.program import Program
 from lfield.capability.directory.showing import Deployed, Known, known_agents, place_of
 from lfield.capability.model import Attribute, Registry, Value
 from lfield.capability.offer import Candidate, Fact, Place
-from lfield.capability.reading.reader import read_registry
-from lfield.capability.types.generate import all_ways
+from lfield.capability.reading.reader import is_shipped, read_registry
+from lfield.capability.reading.signatures import Signature, signatures_of
+from lfield.capability.types.compiled import resources_of
+from lfield.capability.types.generate import Served
+from lfield.capability.types.program_check import check_against, fulfilled
 from lfield.driver.plugins import discover
 from lfield.errors import BindingError, InputFileError, LfieldError, ProgramError, UsageError
 from lfield.mission import bundle
@@ -21,8 +22,11 @@ from lfield.mission.bindings import Frames, Stated
 from lfield.mission.bindings_file import read_frames
 from lfield.mission.load import CAPABILITIES, DEVICES, beside, load_mission
 from lfield.mission.mission import Mission, placed
+from lfield.mission.registry_check import program_files
+from lfield.mission.registry_part import check_stated
 from lfield.mission.team import Team
 from lfield.operator.ask import Answers
+from lfield.text.source import Diagnostics
 from lfield.vm.offers import ways
 from lfield.wire.observing import Status, Told, ToldFact
 
@@ -61,7 +65,8 @@ class Roster:
 class Asked:
     """What is asked about: the registry as hosts have it, and what their bindings state of single agents.
 
-    `ways` are those by which the program can have each primitive served; None where no program can be had.
+    The registry is as far as the program fulfils it. `ways` are those by which that can have each primitive
+    served; None where it could not be compiled.
     `frames` say where hosts are; where agents are is in the registry.
     """
 
@@ -78,28 +83,56 @@ def read_asked(path: Path, team: Team, capabilities: Path | None = None) -> Aske
     `capabilities`, else the file beside it. Raises ProgramError, BindingError, InputFileError and
     BundleError, and UsageError for a bundle without one.
     """
-    mission: Mission | None = None
+    own = capabilities
     if path.suffix != bundle.SUFFIX:
-        with suppress(ProgramError, BindingError, InputFileError):
-            mission = load_mission(path, simulate=True, capabilities=capabilities)
-    elif capabilities is None:
+        own = own or beside(path, CAPABILITIES)
+        try:
+            mission = load_mission(path, simulate=True, capabilities=own)
+        except (ProgramError, BindingError, InputFileError):
+            return _in_spite_of_mistakes(path, team, own)
+        registry = mission.registry
+    else:
         mission = bundle.read(path)
-        if mission.registry is None:
+        registry = mission.registry if own is None else None
+        if registry is None and own is None:
             raise UsageError(f"the program of {path} names no capability: ask its deployment (.dL) instead")
-    if mission is not None and (registry := mission.stated) is not None:
-        bindings = mission.bindings
-        return Asked(registry, _open(registry, mission.program), bindings.attributes, bindings.frames)
-    own = capabilities or beside(path, CAPABILITIES)
-    agents = [agent.id for agent in team.deployed]
-    registry = read_registry(mission=own, agents=agents, libraries=discover().capabilities)
-    frames = Frames() if path.suffix == bundle.SUFFIX else read_frames(beside(path, DEVICES), team.homes)
+    return _asked(mission, registry or _registry(own, team, resources_of(mission.program)))
+
+
+def _asked(mission: Mission, registry: Registry) -> Asked:
+    """The ways that the program was built with; of what it does not name those it would have."""
+    program, bindings = mission.program, mission.bindings
+    resources = resources_of(program)
+    fitting = fulfilled(registry, resources)
+    check_stated(bindings.attributes, fitting)
+    return Asked(
+        placed(fitting, mission.team.types, bindings.frames),
+        {**Served(fitting, resources).all_ways(), **ways(program)},
+        bindings.attributes,
+        bindings.frames,
+    )
+
+
+def _in_spite_of_mistakes(path: Path, team: Team, own: Path | None) -> Asked:
+    """What can be had of a deployment: all ways are open to the resources, as far as they can be read."""
+    program = beside(path, ".L")
+    files = [] if program is None else program_files(program, discover(), Diagnostics())
+    registry = _registry(own, team, signatures_of([file for file in files if not file.broken]))
+    frames = read_frames(beside(path, DEVICES), team.homes)
     return Asked(placed(registry, team.types, frames), frames=frames)
 
 
-def _open(registry: Registry, program: Program) -> dict[str, Collection[str]]:
-    """The ways that the program was built with; of what it does not name those it would have."""
-    resources = [name for name, kind in program.units.items() if kind == "resource"]
-    return {**all_ways(registry, resources), **ways(program)}
+def _registry(own: Path | None, team: Team, resources: Mapping[str, Signature]) -> Registry:
+    """The registry from its files, as far as these resources fulfil it: a mission's `own` file must fit."""
+    agents = [agent.id for agent in team.deployed]
+    registry, found = (
+        read_registry(mission=own, agents=agents, libraries=discover().capabilities),
+        Diagnostics(),
+    )
+    check_against(registry, resources, found)
+    if wrong := [mistake for mistake in found.in_order() if not is_shipped(mistake)]:
+        raise ProgramError(wrong)
+    return fulfilled(registry, resources)
 
 
 def from_files(

@@ -165,9 +165,9 @@ class Desk:
 
 def team_for(program: Program, deployed: list[tuple[str, str, str]]) -> list[Member]:
     """Members on host 0 for (type, id, arguments joined by &); one of each unit when none are given."""
-    units = program.units
+    units = {name: kind for name, kind in program.units.items() if kind != "class"}
     if not deployed:
-        deployed = [(name, name.lower(), "") for name, kind in units.items() if kind != "class"]
+        deployed = [(name, name.lower(), "") for name in units]
     return [
         Member(i, identity, name, units[name], 0, tuple(a for a in arguments.split("&") if a))
         for i, (name, identity, arguments) in enumerate(deployed)

@@ -128,7 +128,7 @@ class Machine:
         record = self.program.class_index[member.type]
         block = Block.empty(self.program.digest, limits.heap // 8, self.engine.space)
         readings: list[Reading | None] = [None] * len(self.program.core.device_calls)
-        agent = Agent(member, block, limits, readings, open=member.kind == "coordinator")
+        agent = Agent(member, block, limits, readings, opened=member.kind == "coordinator")
         agent.fenced = member.id in self._fenced
         self._scheduler.set_clock(agent, 0)
         w = block.w
@@ -168,7 +168,7 @@ class Machine:
         `asleep` is for how many seconds the host was down, as far as it can tell.
         """
         block = self._soundness.check(image, limits.heap // 8)
-        agent = Agent(member, block, limits, [], open=True, frozen=True, kept=True)
+        agent = Agent(member, block, limits, [], opened=True, frozen=True, kept=True)
         agent.fenced = member.id in self._fenced
         if (other := self.agents.get(member.id)) is not None:
             other.ended = "dropped"

@@ -89,13 +89,21 @@ def plain_text(block: Block, folder: Path) -> Problems:
     return []
 
 
+#: An endpoint of each driver whose options a page shows.
+ENDPOINTS = {
+    "mavlink": "udp:127.0.0.1:14550",
+    "can": "socketcan:can0",
+    "dynamixel": "serial:/dev/ttyUSB0:57600",
+}
+
+
 def yaml(block: Block, folder: Path) -> Problems:
     """A registry or bindings, read as a mission reads them; bound devices are opened on their fakes."""
     words, text = block.words, block.text
     if words[:1] == ["device"]:
         text = "agents:\n  page:\n    devices:\n" + textwrap.indent(textwrap.dedent(text), " " * 6)
     elif words[:1] == ["options"]:
-        driver = f"driver: {words[1]}\nendpoint: page\n"
+        driver = f"driver: {words[1]}\nendpoint: {ENDPOINTS[words[1]]}\n"
         text = "agents:\n  page:\n    devices:\n      device:\n" + textwrap.indent(driver + text, " " * 8)
     elif words and not block.file:
         return [f"there is no rule for '{block.info}'"]

@@ -196,10 +196,14 @@ def test_every_kind_of_fence_is_found() -> None:
         ("java statements of Mavlink fc", "fc.fly(new real[] {1.0});\n", "error[L"),
         ("text a.dL", "//A\n", "error[L7"),
         ("yaml", "registry: 1\nprimitive: {}\n", "error["),
-        ("yaml", "agents: {a: {devices: {fc: {driver: mavlink, endpoint: x, wings: 2}}}}\n", "'wings'"),
+        (
+            "yaml",
+            "agents: {a: {devices: {fc: {driver: mavlink, endpoint: 'tcp:h:1', wings: 2}}}}\n",
+            "'wings'",
+        ),
         (
             "yaml device",
-            "fc: {driver: mavlink, endpoint: x, limits: {speed: 5.0}}\n",
+            "fc: {driver: mavlink, endpoint: 'tcp:h:1', limits: {speed: 5.0}}\n",
             "it has a watchdog of 2 s",
         ),
         ("yaml", "agents: {a: [\n", "no YAML"),

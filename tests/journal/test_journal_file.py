@@ -273,6 +273,54 @@ def test_the_space_that_it_gave_up_is_not_taken_for_room(
     assert bench.path.with_name("host.reserve").exists()
 
 
+def test_a_disk_that_has_room_for_what_is_here_and_no_more_says_so_once(
+    bench: FileBench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Coordinators come and go, and nothing is given up; what goes makes no room for what comes."""
+    journal = bench.open()
+    reserve = bench.path.with_name("host.reserve")
+    free = [0]
+    monkeypatch.setattr(os, "statvfs", lambda path: SimpleNamespace(f_bavail=free[0] // 512, f_frsize=512))
+    told = []
+    for hop in range(6):
+        for state in ("RUN", "MOVED"):
+            bench.run(journal.keep([CopyPage("scout", 1, state, hop, block=bytes(3 * STEP))]))
+            told.append(journal.trouble)
+    assert set(told) == {"its disk has room for what is here, and for no more"}
+    assert reserve.stat().st_size == LEAST
+    free[0] = 6 * STEP - 512
+    bench.run(journal.keep([]))
+    assert journal.trouble
+    free[0] = 6 * STEP
+    for _ in range(2):
+        bench.run(journal.keep([]))
+        assert journal.trouble == ""
+    bench.run(journal.keep([CopyPage("scout", 1, "RUN", 9, block=bytes(3 * STEP))]))
+    assert (journal.trouble, reserve.stat().st_size) == ("", LEAST + 6 * STEP)
+
+
+def test_what_cannot_grow_keeps_what_it_has(bench: FileBench, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The file system said that there was room, and another one took it."""
+    journal = bench.open()
+    reserve = bench.path.with_name("host.reserve")
+    monkeypatch.setattr(os, "posix_fallocate", failing_fallocate)
+    bench.run(journal.keep([CopyPage("scout", 1, "RUN", block=bytes(STEP))]))
+    assert journal.trouble == "its disk has room for what is here, and for no more"
+    assert reserve.stat().st_size == LEAST
+    monkeypatch.undo()
+    bench.run(journal.keep([]))
+    assert (journal.trouble, reserve.stat().st_size) == ("", LEAST + 2 * STEP)
+
+
+def test_a_disk_that_is_full_from_the_beginning_has_kept_no_space(
+    bench: FileBench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(os, "statvfs", lambda path: SimpleNamespace(f_bavail=0, f_frsize=512, f_namemax=255))
+    journal = bench.open()
+    assert journal.trouble == "its disk has room for what is here, and for no more"
+    assert not bench.path.with_name("host.reserve").exists()
+
+
 def failing_fallocate(descriptor: int, offset: int, size: int) -> None:
     raise OSError(28, "No space left on device")
 

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -259,7 +260,9 @@ def test_a_deployment_is_checked_with_the_devices_file_beside_it(tmp_path):
     assert mission_problems(tmp_path / "m.dL") == []
     devices = tmp_path / "m.devices.yaml"
     devices.write_text(WITHOUT_POLICY.format("{after: 30, do: land}"))
-    assert mission_problems(tmp_path / "m.dL") == []
+    (found,) = mission_problems(tmp_path / "m.dL")
+    assert found.severity == "warning"
+    assert found.render().startswith(f"beta.fc (Mavlink) is not bound in {devices}: add ")
     devices.write_text(WITHOUT_POLICY.format("{after: 30, do: lnd}"))
     (found,) = mission_problems(tmp_path / "m.dL")
     problem = found.render()
@@ -273,8 +276,53 @@ def test_what_two_files_state_of_one_agent_is_told_when_they_are_checked(tmp_pat
     (tmp_path / "m.dL").write_text("//Winch:hoist@host?1&2&3\n//Boss:boss@host\n")
     (tmp_path / "m.capabilities.yaml").write_text("registry: 1\nagents: {hoist: {mass: 3.0}}\n")
     (tmp_path / "m.devices.yaml").write_text("agents: {hoist: {attributes: {mass: 8, payload: 5}}}\n")
-    (found,) = mission_problems(tmp_path / "m.dL")
+    unbound, found = mission_problems(tmp_path / "m.dL")
+    assert "is not bound" in unbound.render()
     assert (found.severity, found.render()) == (
         "warning",
         "mass of hoist is stated in the devices file and in the mission's registry, which counts",
     )
+
+
+ENDPOINTS = """\
+agents:
+  alpha: {{devices: {{fc: {{driver: mavlink{}}}}}}}
+  beta: {{devices: {{fc: {{driver: mavlink, endpoint: "udp:127.0.0.1:1, serial:/dev/ttyUSB0:57600"}}}}}}
+"""
+
+
+@pytest.mark.parametrize(
+    ("endpoint", "told"),
+    [
+        ("", "2:25: error[Y110]: 'fc' needs 'endpoint'"),
+        (", endpoint: ''", "2:53: error[Y113]: '' is not an endpoint; write udp:HOST:PORT, "),
+        (", endpoint: 'foo:bar'", "2:53: error[Y113]: 'foo:bar' is not an endpoint; write udp:"),
+        (", endpoint: 'can:can0'", "2:53: error[Y113]: 'can:can0' is not an endpoint; write udp:"),
+        (
+            ", endpoint: 'udp:127.0.0.1:99999'",
+            "2:53: error[Y113]: 'udp:127.0.0.1:99999' has no port from 1 to",
+        ),
+        (", endpoint: 'serial:/dev/x:fast'", "2:53: error[Y113]: 'serial:/dev/x:fast' is not an endpoint"),
+        (", endpoint: 'udp:127.0.0.1:1,tcp:h:x'", "2:53: error[Y113]: 'tcp:h:x' is not an endpoint; write"),
+        (", endpoint: 14550", "2:53: error[Y112]: 'endpoint' must be text, not the number 14550"),
+    ],
+)
+def test_an_endpoint_that_is_none_is_told_with_its_place(written, plugins, tmp_path, endpoint, told):
+    path = written(ENDPOINTS.format(endpoint))
+    assert problems(path, plugins).startswith(f"{path}:{told}")
+    (tmp_path / "m.L").write_text("resource Copter { Mavlink fc; init(string[] arg) { } }\n")
+    (tmp_path / "m.dL").write_text("//Copter:alpha@host\n//Copter:beta@host\n")
+    (found,) = mission_problems(tmp_path / "m.dL")
+    assert (found.severity, found.render().startswith(f"{path}:{told}")) == ("error", True)
+    if (
+        "Y112" not in told
+    ):  # A fake does not mind where its device would be; what is no text is wrong there too.
+        read_bindings(path, NEEDED, plugins, simulate=True)
+
+
+def test_a_driver_that_is_not_installed_here_is_asked_nothing(written, plugins):
+    there = plugins.by_driver["mavlink"].plain
+    elsewhere = replace(there, reference="nowhere_at_all:PLUGIN")
+    path = written(ENDPOINTS.format(", endpoint: 'foo:bar'"))
+    assert read_bindings(path, NEEDED, KnownDrivers({"mavlink": elsewhere})).devices["alpha"]
+    assert "'foo:bar' is not an endpoint" in problems(path, KnownDrivers({"mavlink": there}))

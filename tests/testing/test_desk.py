@@ -104,7 +104,7 @@ def test_a_kit_takes_its_silences_and_dead_guards_from_the_same_time(desk, servo
     assert [check for check, finding in found.items() if finding.outcome != "passed"] == [unlimited]
     assert "because its guard died" in found["a guard that dies comes back safe"].seen
     assert found["its own watchdog"].outcome == "passed"
-    assert len(found) == 20
+    assert len(found) == 21
 
 
 def test_who_left_a_device_unsafe_is_told(desk, fake, servo):

@@ -14,8 +14,6 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from urllib.parse import parse_qsl
 
-import can
-
 from lfield.driver import DeviceError
 
 SYNTAX = (
@@ -51,17 +49,22 @@ def parse_endpoint(text: str) -> Place:
     channel, _, query = rest.partition("?")
     if not colon or not channel:
         raise _wrong(text, f"write {SYNTAX}")
-    if interface not in can.VALID_INTERFACES:
-        raise _wrong(
-            text,
-            f"python-can has no interface '{interface}'; it has {', '.join(sorted(can.VALID_INTERFACES))}",
-        )
+    if interface not in _KNOWN and interface not in (others := _interfaces()):
+        known = ", ".join(sorted({*_KNOWN, *others}))
+        raise _wrong(text, f"python-can has no interface '{interface}'; it has {known}")
     try:
         pairs = parse_qsl(query, strict_parsing=bool(query), keep_blank_values=True)
     except ValueError:
         raise _wrong(text, f"write {SYNTAX}") from None
     options = {key: _value(value) for key, value in pairs}
     return _READERS.get(interface, _any)(text, interface, channel, options)
+
+
+def _interfaces() -> frozenset[str]:
+    """Those of python-can, which takes long to import: only a bus that is none of the usual ones needs it."""
+    import can
+
+    return frozenset(can.VALID_INTERFACES)
 
 
 def _any(text: str, interface: str, channel: str, options: dict[str, Value]) -> Place:
@@ -93,6 +96,7 @@ _READERS: Mapping[str, Callable[[str, str, str, dict[str, Value]], Place]] = {
     "slcan": _slcan,
     "socketcand": _socketcand,
 }
+_KNOWN = frozenset({"socketcan", "virtual", *_READERS})
 
 
 def _value(text: str) -> Value:

@@ -17,7 +17,7 @@ from contextlib import suppress
 from typing import Protocol
 
 from lfield.driver import DeviceError
-from lfield.driver.serial import SerialPort
+from lfield.driver.serial import SerialPort, parse_serial_endpoint
 
 #: Seconds between attempts to open a link again.
 AGAIN = 1.0
@@ -51,19 +51,34 @@ def split_endpoint(endpoint: str) -> list[str]:
     return [part.strip() for part in endpoint.split(",")]
 
 
-def make_link(endpoint: str, on_data: OnData) -> Link:
-    """The link of an endpoint, not open yet. Raises DeviceError with a sentence on how to write one."""
-    kind, _, rest = endpoint.partition(":")
+def parse_endpoint(endpoint: str) -> list[tuple[str, str, int]]:
+    """Of each link its kind, its host or path, and its port or baud rate.
+
+    Raises DeviceError with a sentence on how to write one.
+    """
+    return [_parsed(link) for link in split_endpoint(endpoint)]
+
+
+def _parsed(link: str) -> tuple[str, str, int]:
+    kind, _, rest = link.partition(":")
     place, _, number = rest.rpartition(":")
     if kind not in ("udp", "udpin", "tcp", "serial") or not place or not number.isdecimal():
-        raise DeviceError("endpoint", f"'{endpoint}' is not an endpoint; write {SYNTAX}")
+        raise DeviceError("endpoint", f"'{link}' is not an endpoint; write {SYNTAX}")
     if kind == "serial":
-        return SerialLink(place, int(number), on_data)
+        return kind, *parse_serial_endpoint(link)
     if not 0 < int(number) < 65536:
-        raise DeviceError("endpoint", f"'{endpoint}' has no port from 1 to 65535")
+        raise DeviceError("endpoint", f"'{link}' has no port from 1 to 65535")
+    return kind, place, int(number)
+
+
+def make_link(link: str, on_data: OnData) -> Link:
+    """One link of an endpoint, not open yet. Raises DeviceError as `parse_endpoint`."""
+    kind, place, number = _parsed(link)
+    if kind == "serial":
+        return SerialLink(place, number, on_data)
     if kind == "tcp":
-        return TcpLink(place, int(number), on_data)
-    return UdpLink(place, int(number), on_data, listens=kind == "udpin")
+        return TcpLink(place, number, on_data)
+    return UdpLink(place, number, on_data, listens=kind == "udpin")
 
 
 class SerialLink:

@@ -9,4 +9,5 @@ PLUGIN = Plugin(
     extra="serial",
     requires=("serial",),
     kit="lfield_gps.kit:KIT",
+    endpoint="lfield.driver.serial:parse_serial_endpoint",
 )

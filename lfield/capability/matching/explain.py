@@ -37,6 +37,11 @@ def only_best(number: int) -> str:
     return f"only the best {number} combinations are offered"
 
 
+def nobody_serves(primitive: str) -> str:
+    """What is said where nobody is offered, and nobody is there who could be."""
+    return f"no agent of this program serves {primitive}, alone or with others"
+
+
 def render(refusals: Iterable[Refusal], indent: str = "") -> str:
     """A line for each refusal, with those inside it indented below."""
     return "\n".join(_lines(refusals, indent))

@@ -96,6 +96,15 @@ class Served:
         """The one-to-many rules by which others do together."""
         return [r for r in self._compositions if r.serves == primitive and self._has_all(r)]
 
+    def all_ways(self) -> dict[str, frozenset[str]]:
+        """The ways of every primitive: the fields that its class has, or would have."""
+        return {name: frozenset(self._ways(name)) for name in self.primitives}
+
+    def _ways(self, primitive: str) -> Iterator[str]:
+        yield from (ways.direct(provider.type) for provider in self.providers(primitive))
+        yield from (ways.equivalent(rule.name) for rule in self.equivalences(primitive))
+        yield from (ways.composed(rule.name) for rule in self.compositions(primitive))
+
     def reached(self, wanted: Iterable[str]) -> list[str]:
         """The primitives wanted and all that stand in for them, in order of their names."""
         found: set[str] = set()
@@ -124,18 +133,6 @@ class Served:
 
     def _has_all(self, rule: Composition) -> bool:
         return all(need.primitive in self._usable for need in rule.needs.values())
-
-
-def all_ways(registry: Registry, resources: Collection[str]) -> dict[str, frozenset[str]]:
-    """For each primitive the ways in which a program with these resources could have it served."""
-    served = Served(registry, resources)
-    return {name: frozenset(_ways(served, name)) for name in registry.primitives}
-
-
-def _ways(served: Served, primitive: str) -> Iterator[str]:
-    yield from (ways.direct(provider.type) for provider in served.providers(primitive))
-    yield from (ways.equivalent(rule.name) for rule in served.equivalences(primitive))
-    yield from (ways.composed(rule.name) for rule in served.compositions(primitive))
 
 
 def class_text(served: Served, name: str) -> str:

@@ -2,21 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 
 from lfield.capability.condition import Mistake
 from lfield.capability.matching import expression
-from lfield.capability.model import Provider, Registry
+from lfield.capability.model import Registry
 from lfield.capability.reading.reader import is_shipped
-from lfield.capability.reading.signatures import signatures_of
+from lfield.capability.reading.signatures import Signature, signatures_of
 from lfield.capability.types.generate import Served, class_text, prelude
-from lfield.capability.types.program_check import check_against, check_classes
+from lfield.capability.types.program_check import check_against, check_classes, fulfilled
 from lfield.lang import syntax
 from lfield.lang.capabilities import Generated
-from lfield.text.source import Diagnostic, Diagnostics, Source, Span
+from lfield.text.source import Diagnostic, Diagnostics, Source
 
 
 class RegistryTypes:
@@ -39,7 +39,7 @@ class RegistryTypes:
 
     def generate(self, wanted: Collection[str], files: Sequence[syntax.File]) -> Generated:
         """The classes of some capabilities and of all they refer to, for a program of these files."""
-        served = _served(self.registry, files)
+        served = _served(self.registry, signatures_of(files))
         names = served.reached(wanted)
         rules = [rule for name in names for rule in served.compositions(name)]
         return Generated(
@@ -50,45 +50,21 @@ class RegistryTypes:
 
     def misfits(self, used: Collection[str], files: Sequence[syntax.File]) -> Sequence[Diagnostic]:
         """Where a mission's registry does not fit the units of its program, or the classes of rules."""
-        served = _served(self.registry, files)
+        units, found = signatures_of(files), Diagnostics()
+        served = _served(self.registry, units)
         rules = {rule.name: rule for name in used for rule in served.compositions(name)}
-        found = Diagnostics()
-        check_classes(replace(self.registry, compositions=rules), found)
-        told = (d for d in _misfits(self.registry, files) if not is_shipped(d))
-        return [*told, *found.in_order()]
+        check_against(self.registry, units, found)
+        promised = [mistake for mistake in found.found if not is_shipped(mistake)]
+        of_rules = Diagnostics()
+        check_classes(replace(self.registry, compositions=rules), of_rules)
+        return [*promised, *of_rules.found]
 
     def mistakes(self, constraint: str) -> Sequence[Mistake]:
         """What is wrong with the text of a condition over attributes."""
         return expression.read_wish(constraint, self.registry.attributes)[1]
 
 
-def _served(registry: Registry, files: Sequence[syntax.File]) -> Served:
-    """The ways that a program can have, by what fits of the registry.
-
-    A program may have a Winch of its own that is none of ours: what the registry that we ship says wrongly
-    of its resources does not count. Only a mission's own file must fit.
-    """
-    units = [unit for file in files for unit in file.units]
-    resources = {unit.name for unit in units if unit.kind == "resource"}
-    wrong = {d.span for d in _misfits(registry, files) if is_shipped(d)}
-    if wrong:
-        providers = {name: _without(provider, wrong) for name, provider in registry.providers.items()}
-        registry = replace(registry, providers=providers)
-    return Served(registry, resources, {unit.name for unit in units})
-
-
-def _misfits(registry: Registry, files: Sequence[syntax.File]) -> list[Diagnostic]:
-    """What providers promise wrongly of the resources of a program."""
-    found = Diagnostics()
-    check_against(registry, signatures_of(files), found)
-    return found.in_order()
-
-
-def _without(provider: Provider, wrong: Collection[Span]) -> Provider:
-    """A provider without what it serves by portals with these spans."""
-    serves = {
-        name: served
-        for name, served in provider.serves.items()
-        if not any(mapped.span in wrong for mapped in served.portals.values())
-    }
-    return replace(provider, serves=serves)
+def _served(registry: Registry, units: Mapping[str, Signature]) -> Served:
+    """The ways that a program with these units can have."""
+    resources = {name for name, unit in units.items() if unit.kind == "resource"}
+    return Served(fulfilled(registry, units), resources, units.keys())

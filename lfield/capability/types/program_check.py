@@ -6,12 +6,22 @@ where the promise is made.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from lfield.bytecode.acting import acting_methods
 from lfield.bytecode.program import Program
-from lfield.capability.model import Composition, Live, Portal, PortalMap, Primitive, Provider, Registry
+from lfield.capability.model import (
+    Composition,
+    Live,
+    Portal,
+    PortalMap,
+    Primitive,
+    Provider,
+    Registry,
+    Served,
+)
 from lfield.capability.reading import messages
 from lfield.capability.reading.rule_checks import result_type, wrong_result
 from lfield.capability.reading.signatures import (
@@ -27,31 +37,63 @@ from lfield.capability.types.live_units import TELLING, element
 from lfield.errors import InputFileError
 from lfield.lang.parser import parse
 from lfield.text.files import MAX_TEXT, read_bytes
-from lfield.text.source import Diagnostics, Source, Span
+from lfield.text.source import Diagnostic, Diagnostics, Source, Span
 from lfield.text.suggest import did_you_mean, listed
 
 
 def check_against(registry: Registry, signatures: Mapping[str, Signature], found: Diagnostics) -> None:
     """Report portals of providers that a program's resources do not have, or have with other types."""
+    for provider, resource in _fulfilling(registry, signatures):
+        for name, served in provider.serves.items():
+            _report(_unserved(registry.primitives[name], served, resource), found)
+        for live in provider.live.values():
+            _report(_untold(registry, live, resource), found)
+
+
+def _report(mistakes: Sequence[Diagnostic], found: Diagnostics) -> None:
+    for mistake in mistakes:
+        found.add(mistake)
+
+
+def fulfilled(registry: Registry, signatures: Mapping[str, Signature]) -> Registry:
+    """The registry without what its providers promise of resources of a program that these cannot do."""
+    fitting = {
+        provider.type: replace(
+            provider,
+            serves={
+                name: served
+                for name, served in provider.serves.items()
+                if not _unserved(registry.primitives[name], served, resource)
+            },
+            live={
+                name: live for name, live in provider.live.items() if not _untold(registry, live, resource)
+            },
+        )
+        for provider, resource in _fulfilling(registry, signatures)
+    }
+    return replace(registry, providers={**registry.providers, **fitting})
+
+
+def _fulfilling(
+    registry: Registry, signatures: Mapping[str, Signature]
+) -> Iterator[tuple[Provider, Signature]]:
+    """The providers that are resources of a program, with these."""
     for provider in registry.providers.values():
         resource = signatures.get(provider.type)
         if resource is not None and resource.kind == "resource":
-            _check_provider(registry, provider, resource, found)
-            for live in provider.live.values():
-                if live.portal:
-                    _check_live(registry, provider, live, resource, found)
+            yield provider, resource
 
 
-def _check_live(
-    registry: Registry, provider: Provider, live: Live, resource: Signature, found: Diagnostics
-) -> None:
+def _untold(registry: Registry, live: Live, resource: Signature) -> list[Diagnostic]:
     """A portal that feeds an attribute takes nothing, and gives what the attribute can be."""
+    if not live.portal:
+        return []
     attribute = registry.attributes[live.attribute]
     results = [result for parameters, result in resource.portals.get(live.portal, ()) if not parameters]
     if not results:
         hint = None if live.portal in resource.portals else did_you_mean(live.portal, resource.portals)
-        found.add(messages.LIVE_PORTAL.at(live.span, hint=hint, type=provider.type, portal=live.portal))
-    elif element(results[0], live.index) not in TELLING[attribute.type]:
+        return [messages.LIVE_PORTAL.at(live.span, hint=hint, type=resource.name, portal=live.portal)]
+    if element(results[0], live.index) not in TELLING[attribute.type]:
         message = messages.WRONG_QUANTITY.at(
             live.span,
             attribute=attribute.name,
@@ -59,7 +101,8 @@ def _check_live(
             quantity=f"{live.portal}()",
             given=results[0],
         )
-        found.add(message)
+        return [message]
+    return []
 
 
 def check_questions(registry: Registry, program: Program, found: Diagnostics) -> None:
@@ -108,49 +151,47 @@ def check_types(
             found.add(message)
 
 
-def _check_provider(registry: Registry, provider: Provider, resource: Signature, found: Diagnostics) -> None:
-    for served in provider.serves.values():
-        primitive = registry.primitives[served.primitive]
-        missing: dict[Span, list[str]] = {}
-        for mapped in served.portals.values():
-            if mapped.target in resource.portals:
-                _check_portal(primitive, mapped, resource, found)
-            else:
-                missing.setdefault(mapped.span, []).append(mapped.target)
-        for span, targets in missing.items():
-            _report_missing(span, targets, resource, found)
+def _unserved(primitive: Primitive, served: Served, resource: Signature) -> list[Diagnostic]:
+    """What a resource lacks for a primitive that a provider says it serves."""
+    found: list[Diagnostic] = []
+    missing: dict[Span, list[str]] = {}
+    for mapped in served.portals.values():
+        if mapped.target in resource.portals:
+            found += _misfit(primitive, mapped, resource)
+        else:
+            missing.setdefault(mapped.span, []).append(mapped.target)
+    return [*found, *(_missing(span, targets, resource) for span, targets in missing.items())]
 
 
-def _report_missing(span: Span, targets: Sequence[str], resource: Signature, found: Diagnostics) -> None:
-    found.add(
-        messages.NO_TARGET.at(
-            span,
-            hint=did_you_mean(targets[0], resource.portals) if len(targets) == 1 else None,
-            type=resource.name,
-            missing=listed(f"'{target}'" for target in targets),
-            portals=listed(resource.portals),
-        )
+def _missing(span: Span, targets: Sequence[str], resource: Signature) -> Diagnostic:
+    return messages.NO_TARGET.at(
+        span,
+        hint=did_you_mean(targets[0], resource.portals) if len(targets) == 1 else None,
+        type=resource.name,
+        missing=listed(f"'{target}'" for target in targets),
+        portals=listed(resource.portals),
     )
 
 
-def _check_portal(primitive: Primitive, mapped: PortalMap, resource: Signature, found: Diagnostics) -> None:
+def _misfit(primitive: Primitive, mapped: PortalMap, resource: Signature) -> list[Diagnostic]:
+    """How a portal that is there does not do for what is mapped onto it."""
     portal, overloads = primitive.portals[mapped.portal], resource.portals[mapped.target]
     given = tuple(argument_type(argument, portal) for argument in mapped.arguments)
     results = [
         result_type(mapped.result, portal, result) for wanted, result in overloads if fits_all(given, wanted)
     ]
     if not results:
-        found.add(
-            messages.NO_OVERLOAD.at(
-                mapped.span,
-                type=resource.name,
-                portal=mapped.target,
-                given=", ".join(given),
-                overloads=_shown(mapped.target, overloads),
-            )
+        message = messages.NO_OVERLOAD.at(
+            mapped.span,
+            type=resource.name,
+            portal=mapped.target,
+            given=", ".join(given),
+            overloads=_shown(mapped.target, overloads),
         )
-    elif portal.result != "void" and not any(fits(result, portal.result) for result in results):
-        found.add(wrong_result(mapped.span, primitive.name, portal, results[0]))
+        return [message]
+    if portal.result != "void" and not any(fits(result, portal.result) for result in results):
+        return [wrong_result(mapped.span, primitive.name, portal, results[0])]
+    return []
 
 
 def _shown(name: str, overloads: Sequence[Overload]) -> str:

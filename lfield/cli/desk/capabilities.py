@@ -125,12 +125,11 @@ def _check(args: argparse.Namespace) -> int:
     if args.alone and not args.files:
         raise UsageError("--alone is for files of your own: name them")
     found = check_registry(args.files, alone=args.alone, program=args.program)
-    for diagnostic in found:
-        print(diagnostic.render(), file=sys.stderr)
-    errors = sum(d.severity == "error" for d in found)
-    counted = f"{errors} error(s), {len(found) - errors} warning(s)"
+    for finding in found:
+        print(finding.render(), file=sys.stderr)
+    errors, warnings = (sum(d.severity == kind for d in found) for kind in ("error", "warning"))
     if errors:
-        print(f"lfield: {counted}", file=sys.stderr)
+        print(f"lfield: {errors} error(s), {warnings} warning(s)", file=sys.stderr)
         return exits.DATA
-    print(f"no mistakes{f', {len(found)} warning(s)' if found else ''}")
+    print(f"no mistakes{f', {warnings} warning(s)' if warnings else ''}")
     return 0

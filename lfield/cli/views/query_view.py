@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from itertools import groupby
 from typing import TYPE_CHECKING, Any
 
-from lfield.capability.matching.explain import render
+from lfield.capability.matching.explain import nobody_serves, render
 from lfield.capability.matching.search import named
 from lfield.capability.model import Primitive, Registry
 from lfield.capability.offer import Fact, Offer, Refusal, Team
@@ -79,8 +79,7 @@ def show(
         if answer.offers:
             _show_offers(answer.offers, _Attributes(registry, question))
         else:
-            said = "nobody was found, and not all could be tried" if answer.is_cut else "nobody can"
-            print(said if explain else f"{said}; --explain says why")
+            print(_nobody(answer, explain))
         if answer.teams is not None:
             _show_teams(answer)
         for note in answer.notes:
@@ -91,6 +90,14 @@ def show(
         if explain and answer.refusals:
             print("\nnot offered:")
             print("\n".join(map(printable, render(answer.refusals, "  ").splitlines())))
+
+
+def _nobody(answer: Answer, explain: bool) -> str:
+    """What is said instead of offers."""
+    if not answer.refusals and not answer.is_cut:
+        return nobody_serves(answer.primitive.name)
+    said = "nobody was found, and not all could be tried" if answer.is_cut else "nobody can"
+    return said if explain else f"{said}; --explain says why"
 
 
 class _Attributes:

@@ -8,9 +8,10 @@ from pathlib import Path
 from lfield.driver.binding import LEAST_AFTER, DeviceBinding, OptionValue, WithoutPolicy
 from lfield.driver.contract import Manifest, Option
 from lfield.driver.frame import Placement
-from lfield.driver.known import Drivers
+from lfield.driver.known import Drivers, KnownDriver
+from lfield.driver.plugin import why_no_endpoint
 from lfield.text.yaml_fields import Fields
-from lfield.text.yaml_source import Entry
+from lfield.text.yaml_source import Entry, Scalar
 
 
 class DevicesReader:
@@ -62,7 +63,7 @@ class DevicesReader:
             field=entry.key,
             type=manifest.device.type,
             driver=name,
-            endpoint=fields.text("endpoint", required=not self._simulate),
+            endpoint=self._endpoint(fields, driver),
             ttl=fields.number("ttl", 0.5, minimum=0.02, maximum=60.0),
             rest_within=fields.number("rest_within", 120.0, minimum=1.0, maximum=3600.0),
             safe_state=_safe_state(fields, manifest),
@@ -75,6 +76,15 @@ class DevicesReader:
         )
         fields.done()
         return binding
+
+    def _endpoint(self, fields: Fields, driver: KnownDriver) -> str:
+        """Where it is, in the words of its driver; on fakes nobody asks."""
+        text = fields.text("endpoint", required=not self._simulate)
+        node = fields.node("endpoint")
+        is_text = isinstance(node, Scalar) and node.value == text
+        if node is not None and is_text and not self._simulate and (why := why_no_endpoint(driver, text)):
+            fields.report("Y113", why, node.span)
+        return text
 
     def _waivers(self, fields: Fields, manifest: Manifest) -> list[str]:
         known = [name for name, _ in manifest.waivers]

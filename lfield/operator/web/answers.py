@@ -7,7 +7,7 @@ from typing import Any
 
 import msgspec
 
-from lfield.capability.matching.explain import render
+from lfield.capability.matching.explain import nobody_serves, render
 from lfield.capability.offer import Offer
 from lfield.operator.registry.sheets import worth
 from lfield.operator.sight.actions import Answer, Found, Ordered
@@ -29,13 +29,14 @@ def answered(answer: Answer) -> bytes:
 
 
 def _found(found: Found) -> dict[str, Any]:
+    name = found.primitive.name
     return {
-        "primitive": found.primitive.name,
+        "primitive": name,
         "id": found.primitive.id,
         "count": found.count,
         "notes": list(found.notes),
         "offers": [_offer(offer, found.units) for offer in found.offers],
-        "refusals": render(found.refusals),
+        "refusals": render(found.refusals) if found.count or found.refusals else nobody_serves(name),
     }
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import struct
+from collections.abc import Sequence
 
 from lfield.bytecode.program import ARRAY as ARRAY_TYPE
 from lfield.bytecode.program import (
@@ -14,6 +15,7 @@ from lfield.bytecode.program import (
     REAL,
     SOURCE,
     STRING,
+    VOID,
     Program,
 )
 from lfield.errors import DeviceError
@@ -24,6 +26,8 @@ from lfield.vm.memory.layout import ARRAY, OBJECT, Layouts
 #: The longest message an exception made by the machine carries, in characters, and its room in words.
 MESSAGE_LENGTH = 1000
 EXCEPTION_WORDS = 16 + MESSAGE_LENGTH // 8
+#: So many characters of a value that is of another type than was promised are shown.
+SHOWN = 100
 _WORD, _INT = struct.Struct("<q").pack, struct.Struct("<q").unpack
 _REAL, _FLOAT = struct.Struct("<d").pack, struct.Struct("<d").unpack
 
@@ -75,31 +79,57 @@ def plain(block: Block, program: Program, kind: int, word: int) -> DeviceValue:
 
 
 def word_for(block: Block, program: Program, kind: int, value: DeviceValue, device: str) -> int:
-    """The word for a device's value of a type; raises Full, and DeviceError when it is of another type."""
+    """The word for a device's value of a type; raises Full, and DeviceError when it is of another type.
+
+    Whole numbers widen to real; a text or an array may be None.
+    """
     record = program.core.types[kind]
-    match value:
-        case bool() if record.kind == BOOLEAN:
-            return int(value)
-        case int() if record.kind == INT and -(1 << 63) <= value < 1 << 63:
-            return value
-        case int() | float() if record.kind == REAL:
-            return word_of(float(value))
-        case str() if record.kind == STRING:
-            return block.new_string(value)
-        case list() if record.kind == ARRAY_TYPE:
-            return _array_for(block, program, kind, value)
-        case None:
-            return 0
-    raise DeviceError(device, f"its driver gave {value!r} where its manifest promises another type")
+    word = None
+    if record.kind == STRING and isinstance(value, str):
+        word = block.new_string(value)
+    elif record.kind == ARRAY_TYPE and isinstance(value, list):
+        word = _array_for(block, kind, program.core.types[record.of].kind, value)
+    elif value is None:
+        word = 0 if record.kind in (VOID, STRING, ARRAY_TYPE) else None
+    else:
+        word = _number(record.kind, value)
+    if word is None:
+        raise DeviceError(device, f"its driver gave {_shown(value)} where its manifest promises another type")
+    return word
 
 
-def _array_for(block: Block, program: Program, kind: int, values: list[float] | list[int]) -> int:
-    """An array of reals or ints on the heap; raises Full."""
-    place = block.allocate(ARRAY, kind, 1 + len(values))
-    real = program.core.types[program.core.types[kind].of].kind == REAL
-    for i, value in enumerate(values, place + 1):
-        block.w[i] = word_of(float(value)) if real else int(value)
+def _array_for(block: Block, kind: int, of: int, values: Sequence[object]) -> int | None:
+    """An array of such numbers on the heap, None where one is of another type; raises Full."""
+    words = [word for value in values if (word := _number(of, value)) is not None]
+    if len(words) < len(values):
+        return None
+    place = block.allocate(ARRAY, kind, 1 + len(words))
+    for i, word in enumerate(words, place + 1):
+        block.w[i] = word
     return place
+
+
+def _number(kind: int, value: object) -> int | None:
+    """The word of a boolean, int or real; None for what is none of its kind."""
+    if isinstance(value, bool) or kind == BOOLEAN:
+        return int(value) if isinstance(value, bool) and kind == BOOLEAN else None
+    if kind == INT:
+        return value if isinstance(value, int) and -(1 << 63) <= value < 1 << 63 else None
+    if kind != REAL or not isinstance(value, int | float):
+        return None
+    try:
+        return word_of(float(value))
+    except OverflowError:  # a whole number that no real can hold
+        return None
+
+
+def _shown(value: object) -> str:
+    """A value as Python writes it, cut off where that is long."""
+    try:
+        text = repr(value)
+    except ValueError:
+        return "a number of thousands of digits"
+    return text if len(text) <= SHOWN else f"{text[:SHOWN]}..."
 
 
 def new_exception(block: Block, layouts: Layouts, kind: str, message: str, source: str = "") -> int:

@@ -7,14 +7,17 @@ from pathlib import Path
 import pytest
 from registry_expectations import BASE, ROVER
 
+from lfield.bytecode.encoding import encode
 from lfield.capability.model import Registry
 from lfield.capability.reading.reader import check_files, read_registry
 from lfield.capability.reading.signatures import Signature, signatures_of
 from lfield.capability.types.live_units import settle_live
-from lfield.capability.types.program_check import check_against, check_classes
+from lfield.capability.types.program_check import check_against, check_classes, fulfilled
 from lfield.capability.units import known
 from lfield.driver.plugins import discover
+from lfield.errors import ProgramError
 from lfield.lang.parser import parse
+from lfield.mission.load import compile_file, load_mission
 from lfield.text.source import Diagnostics, Source
 
 SOURCES = sorted(Path(__file__).parents[3].glob("drivers/*/L/*.L"))
@@ -140,3 +143,57 @@ def test_what_we_ship_fits_what_we_ship() -> None:
     settle_live(registry, devices, discover().device_types, found)
     assert [d.render() for d in found.in_order()] == []
     assert set(registry.providers) <= set(units)
+
+
+#: A mission that asks for nothing; what it says of its crane is looked at all the same.
+MISSION = """
+resource Crane {
+    init(string[] arg) { }
+    portal reel(real millimetres) emit int { return 1; }
+    portal level() emit string { return "full"; }
+}
+coordinator Boss { init(string[] arg) { } }
+"""
+RULE = """equivalences:
+  by-two:
+    serves: Haul
+    needs: {one: Lift, other: Lift}
+    through: Together
+    source: together.L
+"""
+
+
+@pytest.mark.parametrize(
+    ("added", "codes"),
+    [
+        ("providers: {Crane: {serves: {Photograph: {portals: {photograph: click}}}}}", ["C170"]),
+        ("providers: {Crane: {serves: {Grip: {portals: {grip: level, release: level}}}}}", ["C146"]),
+        ("providers: {Crane: {live: {battery: nothing()}}}", ["C178"]),
+        ("providers: {Crane: {live: {battery: level()}}}", ["C174"]),
+        (RULE, ["C156"]),
+    ],
+)
+@pytest.mark.parametrize("compiled", [False, True])
+def test_what_a_mission_adds_fits_its_program_whatever_that_asks_for(
+    tmp_path: Path, added: str, codes: list[str], compiled: bool
+) -> None:
+    (tmp_path / "mission.L").write_text(MISSION)
+    (tmp_path / "mission.dL").write_text("//Crane:crane@yard\n//Boss:boss@yard\n")
+    (tmp_path / "together.L").write_text("class Together { }")
+    program = tmp_path / "mission.lb" if compiled else None
+    if program is not None:
+        program.write_bytes(encode(compile_file(tmp_path / "mission.L")[0]))
+    (tmp_path / "mission.capabilities.yaml").write_text(f"registry: 1\n{added}\n")
+    with pytest.raises(ProgramError) as raised:
+        load_mission(tmp_path / "mission.dL", program, simulate=True)
+    assert [mistake.code for mistake in raised.value.diagnostics] == codes
+
+
+def test_what_is_not_fulfilled_is_not_in_the_registry_of_the_hosts(tmp_path: Path) -> None:
+    registry = registry_of(
+        tmp_path,
+        "{serves: {Lift: {portals: {lift: secret}}, Grip: {}}, live: {battery: gone()}}",
+    )
+    crane = fulfilled(registry, signatures()).providers["Crane"]
+    assert (list(crane.serves), dict(crane.live)) == (["Grip"], {})
+    assert fulfilled(registry, {}) == registry

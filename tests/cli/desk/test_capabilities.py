@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 
 from lfield.capability.reading.reader import read_registry
+from lfield.capability.reading.reader import shipped as shipped_files
 from lfield.cli.main import main
 from lfield.operator.registry.sheets import describe
 
@@ -305,6 +306,56 @@ def test_against_a_program(run):
     assert status == 65
     assert any("error[C171]" in line for line in err)
     assert run("check", "mission.capabilities.yaml", "--program", "missing.L")[0] == 66
+
+
+#: A program whose Copter is not the one of the stock library.
+OWN_COPTER = """
+resource Copter {
+    init(string[] arg) { }
+    portal land() { }
+    portal hold() { }
+}
+"""
+
+
+def test_a_resource_that_only_has_the_name_of_ours_is_no_mistake(run):
+    (run.folder / "own.L").write_text(OWN_COPTER)
+    status, out, err = run("check", "--program", "own.L")
+    assert (status, out) == (0, ["no mistakes"])
+    assert len(err) == 1
+    assert err[0].startswith("note: the Copter of the program does not serve Move, Climb, Turn, ")
+    assert err[0].endswith(" and ReadBattery, as ours does: it lacks the portals")
+    assert "Land" not in err[0]
+    assert "Hold" not in err[0]
+
+
+def test_what_a_mission_says_of_it_is_one(run):
+    (run.folder / "own.L").write_text(OWN_COPTER)
+    (run.folder / "own.capabilities.yaml").write_text(
+        "registry: 1\nproviders: {Copter: {serves: {Orbit: {portals: {orbit: circle}}}}}\n"
+    )
+    for words in (("own.capabilities.yaml",), ("own.capabilities.yaml", "--program", "own.L")):
+        status, _, err = run("check", *words)
+        assert status == 65
+        assert [line for line in err if "error[" in line] == [
+            "own.capabilities.yaml:2:49: error[C170]: resource Copter has no portal 'circle'"
+        ]
+        assert "Orbit" not in err[-2]
+        assert err[-1] == "lfield: 1 error(s), 0 warning(s)"
+
+
+def test_a_file_that_is_named_is_looked_at_whosever_it_is(run):
+    """The author of a driver has its `capabilities.yaml` checked against the sources beside it."""
+    (run.folder / "own.L").write_text(OWN_COPTER)
+    (run.folder / "capabilities.yaml").write_text(
+        "registry: 1\nproviders: {Copter: {serves: {Land: {}, Lift: {}}}}\n"
+    )
+    status, _, err = run("check", "capabilities.yaml", "--alone", "--program", "own.L")
+    assert status == 65
+    shipped = next(path for path in shipped_files() if path.name == "providers-mavlink.yaml")
+    status, _, err = run("check", str(shipped), "--program", "own.L")
+    assert status == 65
+    assert sum("error[C170]" in line for line in err) > 3
 
 
 def test_files_that_cannot_be_read(run):

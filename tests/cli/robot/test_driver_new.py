@@ -76,7 +76,7 @@ def test_it_passes_the_kit_on_its_own_fake(site, endpoint):
     kit = lfield(site, "kit", "lamp", "--endpoint", endpoint, "--yes", "--silence", "2")
     said, _ = kit.communicate(timeout=60)
     assert kit.returncode == 0, said
-    assert "12 passed, 0 failed, 0 not run" in said
+    assert "13 passed, 0 failed, 0 not run" in said
 
 
 def test_the_kit_sees_what_is_wrong_with_it(site, monkeypatch):
@@ -106,7 +106,7 @@ def test_without_agreement_nothing_moves(site, endpoint):
     kit = lfield(site, "kit", "lamp", "--endpoint", endpoint, stdin=subprocess.DEVNULL)
     said, _ = kit.communicate(timeout=60)
     assert kit.returncode == 0, said
-    assert "3 passed, 0 failed, 9 not run" in said
+    assert "4 passed, 0 failed, 9 not run" in said
 
 
 def errors(plugins, program):

@@ -1,0 +1,116 @@
+"""What is an endpoint of a driver is known before anything is opened."""
+
+from __future__ import annotations
+
+import asyncio
+import subprocess
+import sys
+
+import pytest
+
+from lfield.driver.binding import DeviceBinding
+from lfield.driver.kit import run_kit
+from lfield.driver.kit_checks import endpoint_check
+from lfield.driver.plugin import Plugin, load_plugin
+from lfield.errors import DeviceError, PluginError
+
+ENDPOINTS = {
+    "mavlink": (
+        ["udp:127.0.0.1:14550", "udpin:0.0.0.0:1", "tcp:h:65535", "serial:/dev/x:57600", "tcp:h:1, udp:h:2"],
+        [
+            "",
+            "foo:bar",
+            "udp:h:0",
+            "udp:h:99999",
+            "serial:/dev/x:fast",
+            "serial:/dev/x:0",
+            "tcp:h:1,",
+            "can:can0",
+        ],
+    ),
+    "dynamixel": (
+        ["serial:/dev/ttyUSB0:1000000"],
+        ["", "serial:/dev/x", "udp:h:1", "serial:/dev/x:13000000"],
+    ),
+    "can": (
+        ["socketcan:can0", "virtual:a", "slcan:/dev/ttyACM0@115200?bitrate=500000", "socketcand:h:1/can0"],
+        ["", "can0", "socketcan:", "slcan:ttyACM0", "socketcand:h:0/can0", "socketcand:h:1/can0?a=b"],
+    ),
+}
+
+
+@pytest.mark.parametrize("driver", ENDPOINTS)
+def test_what_is_an_endpoint_of_ours(driver):
+    plugin = load_plugin(f"lfield_{driver}:PLUGIN")
+    good, bad = ENDPOINTS[driver]
+    assert [text for text in good if plugin.why_no_endpoint(text)] == []
+    assert [text for text in bad if not plugin.why_no_endpoint(text)] == []
+
+
+def test_nobody_imports_a_vendor_library_for_that():
+    asks = "".join(
+        f"load_plugin('lfield_{driver}:PLUGIN').why_no_endpoint({good[0]!r})\n"
+        for driver, (good, _) in ENDPOINTS.items()
+    )
+    vendors = "{'can', 'canopen', 'cantools', 'serial', 'pymavlink', 'dynamixel_sdk'}"
+    text = (
+        f"import sys\nfrom lfield.driver.plugin import load_plugin\n{asks}print({vendors} & set(sys.modules))"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", text], capture_output=True, text=True, timeout=60, check=True
+    )
+    assert done.stdout.strip() == "set()"
+
+
+def parse(text: str) -> None:
+    """An endpoint of Thing."""
+    if text == "broken":
+        raise RuntimeError("a bug")
+    if not text.startswith("thing:"):
+        raise DeviceError("endpoint", "write thing:NUMBER")
+
+
+def anything(text: str) -> None:
+    """Takes what it gets."""
+
+
+def plugin(function: str, requires: tuple[str, ...] = ()) -> Plugin:
+    path = f"{__name__}:{function}" if function else ""
+    return Plugin("thing", "thing", "thing:Thing", requires=requires, endpoint=path)
+
+
+def test_a_plugin_that_says_it_and_one_that_does_not():
+    assert plugin("parse").why_no_endpoint("thing:1") == ""
+    assert plugin("parse").why_no_endpoint("") == "write thing:NUMBER"
+    assert plugin("").why_no_endpoint("") == ""
+    assert plugin("parse", ("vendor_that_is_not_here",)).why_no_endpoint("") == ""
+    with pytest.raises(PluginError, match="driver 'thing' cannot parse the endpoint 'broken': a bug"):
+        plugin("parse").why_no_endpoint("broken")
+    with pytest.raises(PluginError, match="cannot be loaded from"):
+        plugin("nowhere").why_no_endpoint("")
+
+
+class Open:
+    """A bench with a device that is open there."""
+
+    confirmed = False
+
+    def __init__(self, endpoint: str) -> None:
+        self.binding = DeviceBinding(agent="a", field="b", type="T", driver="thing", endpoint=endpoint)
+
+
+@pytest.mark.parametrize(
+    ("function", "endpoint", "outcome", "seen"),
+    [
+        ("parse", "thing:1", "passed", "what is none is told before anything is opened"),
+        ("parse", "other:1", "failed", "it is open, and told to be none: write thing:NUMBER"),
+        ("anything", "thing:1", "failed", "it takes '' for an endpoint"),
+    ],
+)
+def test_the_kit_asks_it(function, endpoint, outcome, seen):
+    async def run():
+        kit = run_kit(Open(endpoint), [endpoint_check(plugin(function))], may_move=False)
+        return [finding async for finding in kit]
+
+    (finding,) = asyncio.run(run())
+    assert (finding.check, finding.outcome, finding.seen) == ("endpoint", outcome, seen)

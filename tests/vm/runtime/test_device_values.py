@@ -1,0 +1,133 @@
+"""What a driver gives is the value that its manifest promises, or a DeviceError that names the device."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from lfield.bytecode.program import (
+    ARRAY,
+    BOOLEAN,
+    INT,
+    REAL,
+    STRING,
+    VOID,
+    Core,
+    Debug,
+    Program,
+    TypeRecord,
+)
+from lfield.driver.values import CHECKS, conform
+from lfield.errors import DeviceError
+from lfield.vm.memory.block import Block
+from lfield.vm.memory.values import plain, word_for
+
+PROGRAM = Program(
+    Core((*map(TypeRecord, range(8)), TypeRecord(ARRAY, REAL), TypeRecord(ARRAY, INT)), (), (), (), (), b""),
+    Debug((), ()),
+    bytes(32),
+)
+KINDS = {
+    "void": VOID,
+    "boolean": BOOLEAN,
+    "int": INT,
+    "real": REAL,
+    "string": STRING,
+    "real[]": 8,
+    "int[]": 9,
+}
+#: A whole number that no real can hold.
+TOO_LARGE = 10**400
+
+SCALARS = st.one_of(
+    st.none(),
+    st.booleans(),
+    st.integers(),
+    st.sampled_from([2**63, 2**63 - 1, -(2**63), -(2**63) - 1, TOO_LARGE, 10**5000]),
+    st.floats(),
+    st.text(max_size=5),
+    st.binary(max_size=3),
+)
+VALUES = st.one_of(SCALARS, st.lists(SCALARS, max_size=4), st.tuples(st.integers()), st.just({}))
+
+
+def brought(kind: str, value: object) -> object:
+    """The value as L has it."""
+    block = Block.empty(bytes(32), 1 << 16)
+    return plain(block, PROGRAM, KINDS[kind], word_for(block, PROGRAM, KINDS[kind], value, "fc"))  # type: ignore
+
+
+def same(left: object, right: object) -> bool:
+    """Whether two values are one for L: of the same type, and not a number is like not a number."""
+    if isinstance(left, list) and isinstance(right, list):
+        return len(left) == len(right) and all(map(same, left, right))
+    if isinstance(left, float) and isinstance(right, float) and math.isnan(left):
+        return math.isnan(right)
+    return type(left) is type(right) and left == right
+
+
+@given(kind=st.sampled_from(list(KINDS)), value=VALUES)
+def test_a_value_or_an_error_that_names_the_device(kind: str, value: object) -> None:
+    try:
+        found = brought(kind, value)
+    except DeviceError as error:
+        told = error.device, error.reason[:16], len(error.reason) < 300
+        assert told == ("fc", "its driver gave ", True)
+        return
+    if value is None:
+        # A text or an array may be null; nothing else may.
+        assert kind in ("void", "string", "real[]", "int[]")
+        assert found == (0 if kind == "void" else None)
+    elif isinstance(value, str):
+        assert found == value.encode("utf-8", "replace").decode()
+    else:
+        assert same(found, conform(value, kind))
+
+
+@given(kind=st.sampled_from(list(KINDS)), value=VALUES)
+def test_what_a_guard_lets_pass_arrives(kind: str, value: object) -> None:
+    try:
+        sent = conform(value, kind)
+    except ValueError:
+        return
+    brought(kind, sent)
+
+
+@pytest.mark.parametrize(
+    ("kind", "value"),
+    [
+        ("real", True),
+        ("int", True),
+        ("boolean", 1),
+        ("boolean", None),
+        ("int", None),
+        ("int", 1.0),
+        ("real", "1.0"),
+        ("real", TOO_LARGE),
+        ("void", 0),
+        ("string", b"text"),
+        ("int[]", [1, 1.5]),
+        ("int[]", ["text"]),
+        ("int[]", [True]),
+        ("int[]", [2**63]),
+        ("int[]", [None]),
+        ("real[]", [1.0, "text"]),
+        ("real[]", [False]),
+        ("real[]", [[1.0]]),
+        ("real[]", "text"),
+    ],
+)
+def test_what_is_of_another_type(kind: str, value: object) -> None:
+    with pytest.raises(
+        DeviceError, match=r"^fc: its driver gave .* where its manifest promises another type$"
+    ):
+        brought(kind, value)
+
+
+def test_every_type_of_a_driver_is_tried() -> None:
+    assert set(KINDS) == set(CHECKS)
+    assert same(brought("real[]", [1, 2.5]), [1.0, 2.5])
+    assert same(brought("int[]", [1, -(2**63)]), [1, -(2**63)])
