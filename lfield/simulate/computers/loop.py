@@ -88,7 +88,7 @@ class ProcessLoop(asyncio.BaseEventLoop):
 
     # What `run_forever` of asyncio goes by, from 3.11 on.
     _stopping: bool
-    _thread_id: int | None  # type: ignore[assignment]
+    _thread_id: int | None
     _check_running: Callable[[], None]
     _run_once: Callable[[], None]
 
