@@ -19,10 +19,12 @@ NO_BROWSER = command -v chromium >/dev/null && command -v chromedriver >/dev/nul
 LINT = $(BIN)/ruff check . && $(BIN)/ruff format --check . && $(BIN)/lint-imports && $(BIN)/mypy
 
 # Lint and types run beside the tests and are shown behind them; either may fail the whole. A job in the background does
-# not hear Ctrl-C, so it is ended here.
+# not hear Ctrl-C, so it is ended here. What Python and pytest compile is kept: the first time that is done once for all
+# workers, which would each do it for themselves.
 test: $(VENV)/.tested
 	@setsid sh -c '$(LINT)' >$(VENV)/lint.log 2>&1 & lint=$$!; \
 	trap 'kill -- -$$lint 2>/dev/null; exit 130' INT TERM; \
+	test -e $(VENV)/.compiled || $(BIN)/pytest --collect-only --numprocesses 0 >/dev/null && touch $(VENV)/.compiled; \
 	$(BIN)/pytest; tests=$$?; \
 	wait $$lint; checks=$$?; cat $(VENV)/lint.log; $(NO_BROWSER); \
 	test $$tests -eq 0 && test $$checks -eq 0

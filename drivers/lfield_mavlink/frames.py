@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 
 from lfield.driver import Frame, Origin, Placement, Vector
 from lfield_mavlink.contact.state import VehicleState
@@ -29,7 +30,7 @@ class Earthly:
     @property
     def heading(self) -> float:
         """Meridians are not parallel: how its north differs from the team's, less than 1e-3 over 5 km."""
-        return onto(self.team, self.origin)[2]
+        return _turn(self.team, self.origin)
 
     def to_team(self, place: Vector) -> Vector:
         """Metres of its origin as metres of the team's."""
@@ -43,6 +44,12 @@ class Earthly:
             return place
         latitude, longitude = round_from(self.team, place[0], place[1])
         return self.origin.to(Place(latitude, longitude, self.team.altitude - place[2]), self.radius)
+
+
+@lru_cache(maxsize=64)
+def _turn(team: Origin, origin: Place) -> float:
+    """Whatever a vehicle tells is turned by it, many times a second, and neither of the two moves."""
+    return onto(team, origin)[2]
 
 
 @dataclass(frozen=True, slots=True)

@@ -108,6 +108,7 @@ def test_every_formation_is_reached_and_nobody_meets(lfield_mission):
     moves_at_one_time(team)
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize("who", ["bob", "cat", "dan"])
 def test_a_dead_motor_in_the_middle_of_a_leg_and_the_others_close_up(lfield_mission, who):
     team = stopped(lfield_mission, lambda team: team.fake(f"{who}.fc").set("motor_failure=true"))

@@ -35,6 +35,7 @@ def way(team, who, since, until):
     return sum(math.dist((a.north, a.east), (b.north, b.east)) for a, b in pairwise(there))
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("seed", [0, 2, 4])
 def test_a_match_has_goals_and_both_coaches_count_them(lfield_mission, seed):
     team = lfield_mission("mission.dL", seed=seed)

@@ -28,6 +28,7 @@ from lfield.journal.pages import Page
 from lfield.mission.mission import Mission
 from lfield.net.tcp import TcpTransport
 from lfield.simulate.computers.computer import Computer, Process
+from lfield.simulate.computers.loop import generators
 from lfield.simulate.computers.machines import Machine
 from lfield.simulate.computers.network import Network
 from lfield.simulate.computers.timeline import Timeline
@@ -131,7 +132,8 @@ class Fleet:
 
     def run(self, seconds: float) -> None:
         """Let time go on for so long."""
-        self.timeline.run(seconds, partial(self._watch, self))
+        with generators():
+            self.timeline.run(seconds, partial(self._watch, self))
 
     @property
     def digest(self) -> str:

@@ -14,6 +14,7 @@ from lfield.driver.sims import Sim, SimOnLoop
 from lfield.errors import LfieldError, MissionTestError, PluginError
 from lfield.loop import Fake
 from lfield.simulate.computers.computer import Computer
+from lfield.simulate.computers.loop import generators
 from lfield.simulate.computers.machines import Machine
 from lfield.simulate.computers.network import Network
 from lfield.simulate.computers.timeline import Timeline
@@ -84,7 +85,8 @@ def all_serve(fakes: Mapping[K, CabledFake], timeline: Timeline) -> dict[K, Fake
         if timeline.now >= end:
             late = ", ".join(fake.name for fake in fakes.values() if fake.serving is None)
             raise MissionTestError(f"the fake of {late} was not ready within {READY:g} s")
-        timeline.run(LOOK)
+        with generators():
+            timeline.run(LOOK)
     return served
 
 

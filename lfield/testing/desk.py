@@ -38,6 +38,7 @@ from lfield.errors import MissionTestError, PluginError, Stuck
 from lfield.guard.core import SILENCE
 from lfield.loop import Fake
 from lfield.simulate.computers.computer import Computer, Process
+from lfield.simulate.computers.loop import generators
 from lfield.simulate.computers.machines import Machine, MachineClock
 from lfield.simulate.computers.network import Network
 from lfield.simulate.computers.timeline import Timeline
@@ -181,7 +182,7 @@ class Desk:
         async def begin() -> T:
             return await story
 
-        with fenced() as caught:
+        with fenced() as caught, generators():
             process.loop.enter(lambda: told.append(process.loop.create_task(begin())))
             while not told[0].done() and self.now < end and not caught:
                 self._timeline.run(LOOK)

@@ -174,6 +174,7 @@ def test_links_are_cut_and_nobody_takes_anybody_for_silent(tmp_path, seed):
 ROUGH = Weather(cut=1.0, one_way=2.0, reset=2.0, slow=4.0, kill=10.0, stop=10.0, power=30.0)
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("seed", range(3))
 def test_in_any_weather_no_start_has_two_copies(tmp_path, seed):
     fleet = Fleet(

@@ -29,6 +29,7 @@ from lfield.simulate.weather import Weather
 from lfield.vm.memory.layout import W_GENERATION
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize("first", range(0, 96, 24))
 def test_stories_of_all_kinds_of_weather_keep_every_promise(first: int) -> None:
     struck: Counter[str] = Counter()

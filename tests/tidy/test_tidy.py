@@ -81,8 +81,11 @@ def name_of(path: Path) -> str:
 
 
 @cache
-def tree_of(path: Path) -> ast.Module:
-    return ast.parse(path.read_text(encoding="utf-8"))
+def seen_in(path: Path) -> tuple[dict[str, int], list[str]]:
+    """How long its functions are, and where it uses private names of others; its tree is not kept."""
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    nodes = list(ast.walk(tree))
+    return functions(nodes), [f"{name_of(path)}:{line}: {name}" for line, name in private_uses(nodes)]
 
 
 def length(path: Path) -> int:
@@ -128,24 +131,26 @@ def test_the_tables_of_exceptions_name_no_file_that_needs_none() -> None:
 
 
 def test_a_function_fits_a_screen() -> None:
-    long = {}
-    for path in files(*PRODUCT):
-        for node in ast.walk(tree_of(path)):
-            if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
-                assert node.end_lineno is not None
-                lines = node.end_lineno - node.lineno + 1
-                if lines > LONGEST_FUNCTION:
-                    long[f"{name_of(path)}:{node.name}"] = lines
-    assert long == {}
+    found = {f"{name_of(path)}:{name}": n for path in files(*PRODUCT) for name, n in seen_in(path)[0].items()}
+    assert {name: lines for name, lines in found.items() if lines > LONGEST_FUNCTION} == {}
 
 
-def private_uses(tree: ast.Module) -> Iterator[tuple[int, str]]:
+def functions(nodes: list[ast.AST]) -> dict[str, int]:
+    """The longest of each name."""
+    found: dict[str, int] = {}
+    for node in nodes:
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+            assert node.end_lineno is not None
+            lines = node.end_lineno - node.lineno + 1
+            found[node.name] = max(lines, found.get(node.name, 0))
+    return found
+
+
+def private_uses(nodes: list[ast.AST]) -> Iterator[tuple[int, str]]:
     """Lines that use a private name of something that is defined in another file."""
-    own = {node.attr for node in ast.walk(tree) if isinstance(node, ast.Attribute) and of_self(node)}
-    own |= DOCUMENTED | {
-        n.name for n in ast.walk(tree) if isinstance(n, ast.FunctionDef | ast.AsyncFunctionDef)
-    }
-    for node in ast.walk(tree):
+    own = {node.attr for node in nodes if isinstance(node, ast.Attribute) and of_self(node)}
+    own |= DOCUMENTED | {n.name for n in nodes if isinstance(n, ast.FunctionDef | ast.AsyncFunctionDef)}
+    for node in nodes:
         if isinstance(node, ast.Attribute) and private(node.attr) and node.attr not in own:
             yield node.lineno, node.attr
         if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("lfield"):
@@ -164,5 +169,4 @@ def private(name: str) -> bool:
 
 @pytest.mark.parametrize("path", files(*PRODUCT), ids=name_of)
 def test_nobody_uses_the_private_names_of_another_file(path: Path) -> None:
-    uses = [f"{name_of(path)}:{line}: {name}" for line, name in private_uses(tree_of(path))]
-    assert uses == []
+    assert seen_in(path)[1] == []

@@ -11,8 +11,11 @@ import ctypes
 import errno
 import math
 import sys
-from collections.abc import Callable, Coroutine, Sequence
+import threading
+from collections.abc import AsyncGenerator, Callable, Coroutine, Iterator, Sequence
+from contextlib import contextmanager
 from typing import Any, NoReturn
+from weakref import WeakValueDictionary
 
 from lfield.simulate.computers.machines import Machine
 from lfield.simulate.computers.timeline import Planned
@@ -39,6 +42,36 @@ def beyond(deed: str) -> NoReturn:
     raise OSError(errno.ENETUNREACH, f"it wanted to {deed}, and nothing simulated leads there")
 
 
+#: Whose the asynchronous generators are that have begun and not ended, by their ids.
+_owners: WeakValueDictionary[int, ProcessLoop] = WeakValueDictionary()
+
+
+@contextmanager
+def generators() -> Iterator[None]:
+    """Within, an asynchronous generator that nobody has any more is closed by its process.
+
+    By asyncio's way each loop tells Python, whenever it begins and ends to run, which is at every event, and
+    Python tells whoever audits it.
+    """
+    before = sys.get_asyncgen_hooks()
+    sys.set_asyncgen_hooks(_begins, _is_left)
+    try:
+        yield
+    finally:
+        sys.set_asyncgen_hooks(*before)
+
+
+def _begins(generator: AsyncGenerator[Any, Any]) -> None:
+    loop = asyncio.get_running_loop()
+    assert isinstance(loop, ProcessLoop), "no other runs within"
+    _owners[id(generator)] = loop
+
+
+def _is_left(generator: AsyncGenerator[Any, Any]) -> None:
+    if (loop := _owners.pop(id(generator), None)) is not None:
+        loop.call_soon(loop.create_task, generator.aclose())
+
+
 class _Nothing:
     """Stands where a loop has its selector: nothing is ever ready, and where it would wait it is over."""
 
@@ -52,6 +85,12 @@ class _Nothing:
 
 class ProcessLoop(asyncio.BaseEventLoop):
     """The loop of a process. It runs while the timeline is at one moment, and never waits."""
+
+    # What `run_forever` of asyncio goes by, from 3.11 on.
+    _stopping: bool
+    _thread_id: int | None
+    _check_running: Callable[[], None]
+    _run_once: Callable[[], None]
 
     def __init__(self, machine: Machine) -> None:
         super().__init__()
@@ -125,11 +164,23 @@ class ProcessLoop(asyncio.BaseEventLoop):
 
     def _run(self) -> None:
         self._rounds = 0
-        self.run_forever()
+        self._until_stopped()
         if self._hold is not None:
             self._held = True
             self._timeline.after(self._hold, self._let_go)
             self._hold = None
+
+    def _until_stopped(self) -> None:
+        """As `run_forever`, but that generators are seen to for all loops at once: see `generators`."""
+        self._check_running()
+        self._thread_id = threading.get_ident()
+        asyncio._set_running_loop(self)
+        try:
+            while not self._stopping:
+                self._run_once()
+        finally:
+            self._stopping, self._thread_id = False, None
+            asyncio._set_running_loop(None)
 
     def _let_go(self) -> None:
         self._held = False

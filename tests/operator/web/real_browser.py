@@ -8,6 +8,7 @@ from base64 import b64encode
 from collections.abc import Callable
 from hashlib import sha256
 from pathlib import Path
+from typing import TypeVar
 from urllib.parse import urlsplit
 
 import pytest
@@ -22,6 +23,7 @@ from selenium.webdriver.support.wait import WebDriverWait
 
 from lfield.authority.pages.page_keys import read_page
 
+T = TypeVar("T")
 CHROMIUM, DRIVER = shutil.which("chromium"), shutil.which("chromedriver")
 #: Seconds for anything that is only a matter of time on a busy machine.
 PATIENCE = 60.0
@@ -51,6 +53,43 @@ def believing(keys: Path) -> list[str]:
     return [f"--ignore-certificate-errors-spki-list={b64encode(sha256(spki).digest()).decode()}"]
 
 
+class Thing:
+    """What has a `data-testid`. It is found anew for all that is done with it: the page may redraw it."""
+
+    def __init__(self, browser: Browser, id: str) -> None:
+        self._browser, self._id = browser, id
+
+    def _do(self, deed: Callable[[WebElement], T]) -> T:
+        return self._browser.look(lambda: deed(self._browser.all(self._id)[0]))
+
+    @property
+    def text(self) -> str:
+        return self._do(lambda found: found.text)
+
+    def get_attribute(self, name: str) -> str | None:
+        return self._do(lambda found: found.get_attribute(name))
+
+    def is_enabled(self) -> bool:
+        return self._do(lambda found: found.is_enabled())
+
+    def is_displayed(self) -> bool:
+        return self._do(lambda found: found.is_displayed())
+
+    def click(self, within: str = "") -> None:
+        """Click it, or what is within by a selector of CSS."""
+        self._do(lambda found: (found.find_element(By.CSS_SELECTOR, within) if within else found).click())
+
+    def clear(self) -> None:
+        self._do(lambda found: found.clear())
+
+    def send_keys(self, *keys: str) -> None:
+        self._do(lambda found: found.send_keys(*keys))
+
+    def parts(self, css: str, told: Callable[[WebElement], T]) -> list[T]:
+        """What all have to tell that are within by a selector of CSS."""
+        return self._do(lambda found: [told(part) for part in found.find_elements(By.CSS_SELECTOR, css)])
+
+
 class Browser:
     """One window. Things are found by their `data-testid`."""
 
@@ -73,9 +112,15 @@ class Browser:
     def all(self, id: str) -> list[WebElement]:
         return self.driver.find_elements(By.CSS_SELECTOR, f'[data-testid="{id}"]')
 
-    def thing(self, id: str) -> WebElement:
+    def thing(self, id: str) -> Thing:
         self.wait(lambda: self.all(id))
-        return self.all(id)[0]
+        return Thing(self, id)
+
+    def look(self, look: Callable[[], T]) -> T:
+        """What one look at the page gives; where it is drawn anew meanwhile, the next look."""
+        found: list[T] = []
+        self.wait(lambda: found.append(look()) or True)
+        return found[0]
 
     def text(self, id: str) -> str:
         return self.thing(id).text

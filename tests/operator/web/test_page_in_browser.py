@@ -42,8 +42,8 @@ def test_two_copters_move(browser, page_of):
 def test_nothing_leaves_this_computer(browser, page_of):
     page = page_of("--earth")
     browser.open(page.link)
-    browser.thing("plots").find_element(By.TAG_NAME, "summary").click()
-    browser.wait(lambda: browser.thing("plot-height").find_elements(By.TAG_NAME, "canvas"))
+    browser.thing("plots").click("summary")
+    browser.wait(lambda: browser.thing("plot-height").parts("canvas", bool))
     assert browser.asked_hosts() == {page.address.removeprefix("http://")}
     assert browser.errors == []
 
@@ -256,14 +256,12 @@ def test_whoever_has_a_colour_has_it_in_all_plots(browser, page_of):
     page = page_of()
     page.do("low lead")
     browser.open(page.link)
-    browser.thing("plots").find_element(By.TAG_NAME, "summary").click()
+    browser.thing("plots").click("summary")
     browser.says("key-hops", "pilot")
 
     def inks(key):
-        return [
-            ink.value_of_css_property("background-color").replace("rgba", "rgb").replace(", 1)", ")")
-            for ink in browser.thing(key).find_elements(By.TAG_NAME, "i")
-        ]
+        told = browser.thing(key).parts("i", lambda ink: ink.value_of_css_property("background-color"))
+        return [colour.replace("rgba", "rgb").replace(", 1)", ")") for colour in told]
 
     assert browser.text("key-vehicles").split() == ["Vehicles:", "leadwing"]
     colours = [*inks("key-vehicles"), *inks("key-hops")]
@@ -319,7 +317,9 @@ def test_with_a_keyboard_alone(browser, page_of):
     def press(*keys: str) -> str:
         """What has the focus then."""
         ActionChains(browser.driver).send_keys(*keys).perform()
-        return browser.driver.switch_to.active_element.get_attribute("data-testid") or ""
+        return browser.look(
+            lambda: browser.driver.switch_to.active_element.get_attribute("data-testid") or ""
+        )
 
     assert press(Keys.TAB) == "stop", "it comes first"
     press(Keys.ENTER)
@@ -366,7 +366,9 @@ def test_on_the_earth_places_are_degrees(browser, page_of):
     assert "m north" in browser.thing("place-lead").get_attribute("title")
     labels = ".sky .grid text"
     browser.wait(lambda: browser.driver.find_elements(By.CSS_SELECTOR, labels))
-    told = [label.text for label in browser.driver.find_elements(By.CSS_SELECTOR, labels)]
+    told = browser.look(
+        lambda: [label.text for label in browser.driver.find_elements(By.CSS_SELECTOR, labels)]
+    )
     assert any(text.startswith("47.4") and text.endswith("° N") for text in told), told
     assert any(text.startswith("8.5") and text.endswith("° E") for text in told), told
 
@@ -424,7 +426,7 @@ def test_a_background_from_a_file(browser, page_of, tmp_path):
     database.commit()
     page = page_of("--earth", "--tiles", tmp_path / "field.mbtiles")
     browser.open(page.link)
-    browser.wait(lambda: browser.thing("map").find_elements(By.CSS_SELECTOR, "img.leaflet-tile-loaded"))
+    browser.wait(lambda: browser.thing("map").parts("img.leaflet-tile-loaded", bool))
     assert browser.asked_hosts() == {page.address.removeprefix("http://")}
 
 
@@ -481,7 +483,7 @@ def test_a_page_that_was_asleep_catches_up(browser, page_of):
     browser.driver.execute_cdp_cmd("Page.setWebLifecycleState", {"state": "active"})
     browser.says("log", "line 1099")
     browser.says("host-bravo", "nobody listens there")
-    assert len(browser.thing("log").find_elements(By.TAG_NAME, "time")) == LINES
+    assert len(browser.thing("log").parts("time", bool)) == LINES
     browser.says("log-gap", "missing here")
     browser.wait(lambda: "last look" not in browser.text("state"))
 

@@ -5,8 +5,10 @@ from __future__ import annotations
 import asyncio
 import gc
 import random
+from collections.abc import AsyncIterator
 
 from lfield.simulate.computers.computer import Computer, Process
+from lfield.simulate.computers.loop import generators
 from lfield.simulate.computers.machines import Machine
 from lfield.simulate.computers.network import Network
 from lfield.simulate.computers.timeline import Timeline
@@ -58,3 +60,27 @@ def test_who_ends_by_himself_does_so_in_order() -> None:
     _begun(timeline, said)
     timeline.run(6.0)
     assert said == ["worked", "tidied up"]
+
+
+async def _numbers(said: list[str]) -> AsyncIterator[int]:
+    try:
+        yield 1
+        yield 2
+    finally:
+        await asyncio.sleep(0.1)
+        said.append("tidied up")
+
+
+async def _takes_one(said: list[str]) -> None:
+    async for number in _numbers(said):
+        said.append(str(number))
+        break
+
+
+def test_a_generator_that_is_left_is_closed_by_its_process() -> None:
+    timeline, said = Timeline(), list[str]()
+    process = _computer(timeline).start()
+    with generators():
+        process.loop.enter(lambda: process.loop.create_task(_takes_one(said)))
+        timeline.run(1.0)
+    assert said == ["1", "tidied up"]
