@@ -74,7 +74,7 @@ class Ledger:
         """Keys for a host or person who has none that are good. Raises KeysError."""
         if _NAME.fullmatch(name) is None:
             raise KeysError(
-                f"{name!r} is no name for keys: it begins with a letter or digit, and has letters, digits, "
+                f"'{name}' is no name for keys: it begins with a letter or digit, and has letters, digits, "
                 "'.', '_' and '-'"
             )
         if good := [row.who for row in self._of(holder, name, at) if row.state == "good"]:
@@ -123,7 +123,7 @@ class Ledger:
         nothing of what was made after it.
         """
         if _SERIAL.fullmatch(serial) is None:
-            raise KeysError(f"{serial!r} is no number of a certificate: see 'lfield keys list'")
+            raise KeysError(f"'{serial}' is no number of a certificate: see 'lfield keys list'")
         found = [who for who in self._issued() if who.serial.startswith(serial)]
         if not found and len(serial) >= _WHOLE:
             found = [replace(STRANGER, serial=serial)]

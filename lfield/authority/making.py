@@ -112,7 +112,7 @@ class Authority(Signer[Ed25519PrivateKey]):
         """
         if not 0 < len(name) <= MAX_NAME or not name.isprintable():
             raise KeysError(
-                f"{name!r} is no name: give one of 1 to {MAX_NAME} characters that can be printed"
+                f"'{name}' is no name: give one of 1 to {MAX_NAME} characters that can be printed"
             )
         if renews:
             key, public = None, public_in(certificate_in(renews))

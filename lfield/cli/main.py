@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import io
 import os
 import re
 import signal
@@ -14,7 +15,7 @@ from typing import TYPE_CHECKING, Any, NoReturn, Protocol
 from lfield import __version__, exits
 from lfield.errors import BindingError, LfieldError, ProgramError, UsageError
 from lfield.text.outlet import silence
-from lfield.text.visible import continued, visible
+from lfield.text.visible import ESCAPES, as_text, continued, visible
 
 if TYPE_CHECKING:
     from _typeshed import SupportsWrite
@@ -71,6 +72,7 @@ ORDERLY = {
     "kit": ("devices.try_out", "mission.one_device"),
     "sim": ("driver.sims",),
 }
+_HALF = re.compile(r"\\u(d[89a-f][0-9a-f]{2})")
 #: What may be empty: no emergency stop is refused for want of a reason.
 REASON = "--reason"
 
@@ -104,6 +106,8 @@ class _Parser(argparse.ArgumentParser):
     _intermixes = False
 
     def error(self, message: str) -> NoReturn:
+        # argparse shows words as Python writes them.
+        message = _HALF.sub(r"\\u{\1}", message)
         raise UsageError(f"{message} (see '{self.prog} --help')")
 
 
@@ -146,7 +150,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _fill_streams() -> None:
-    """Of standard streams that were closed (`>&-`) Python has none.
+    """Of standard streams that were closed (`>&-`) Python has none; those that are there take every text.
 
     What is said to stderr goes nowhere then; what is printed cannot be written, as on a full disk.
     """
@@ -155,6 +159,10 @@ def _fill_streams() -> None:
             setattr(sys, name, open(os.devnull, mode, encoding="utf-8"))  # noqa: SIM115  # never closed
     if sys.stdout is None:
         sys.stdout = open(os.open(os.devnull, os.O_RDONLY), "w", encoding="utf-8")  # noqa: SIM115  # never closed
+    for stream in (sys.stdout, sys.stderr):
+        # A stream of another kind encodes nothing, or by itself.
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors=ESCAPES)
 
 
 def _let_out() -> None:
@@ -193,7 +201,7 @@ def _dispatch(words: list[str]) -> int:
         if name == chosen:
             _command(name).add_arguments(subparser)
     try:
-        args = parser.parse_args(words)
+        args = _in_text(parser.parse_args(words))
     except SystemExit:
         # --help or --version has been answered: whether the answer got out is for `main` to see.
         return exits.DONE
@@ -204,6 +212,16 @@ def _dispatch(words: list[str]) -> int:
             import_module(f"lfield.{module}")
         signal.signal(signal.SIGINT, signal.default_int_handler)
     return command.run(args)
+
+
+def _in_text(args: argparse.Namespace) -> argparse.Namespace:
+    """What was said, as text that can be printed, kept and sent. What names a file stays as it is."""
+    for name, value in vars(args).items():
+        if isinstance(value, str):
+            setattr(args, name, as_text(value))
+        elif isinstance(value, list):
+            setattr(args, name, [as_text(each) if isinstance(each, str) else each for each in value])
+    return args
 
 
 def _command(name: str) -> Command:

@@ -27,6 +27,7 @@ from lfield.errors import ProgramError
 from lfield.lang import types
 from lfield.lang.tree import CheckedProgram, Method
 from lfield.text.source import Diagnostic, Source
+from lfield.text.visible import as_text
 
 
 def compile_program(checked: CheckedProgram) -> Program:
@@ -108,5 +109,5 @@ def _debug(sources: list[Source], frames: list[Frame]) -> Debug:
             )
             for frame in frames
         ),
-        tuple(SourceText(PurePath(source.name).name, source.text) for source in sources),
+        tuple(SourceText(as_text(PurePath(source.name).name), source.text) for source in sources),
     )

@@ -59,7 +59,7 @@ class FileSet:
             self._missing(messages.INCLUDE_MISSING.at(include.span, path=path))
             return []
         except (OSError, ValueError) as error:
-            shown = repr(str(path))
+            shown = f"'{path}'"
             self._missing(messages.INCLUDE_UNREADABLE.at(include.span, path=shown, reason=reason(error)))
             return []
         return [] if source is None else [(source, path)]

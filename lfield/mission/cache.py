@@ -68,7 +68,7 @@ class Order:
     def key(self) -> str:
         """What tells this order from others: also where it is given, and by whom it is carried out."""
         said = [__version__, sys.executable, os.getcwd(), sys.path[1:], self.words]
-        return hashlib.sha256(msgspec.msgpack.encode(said)).hexdigest()[:32]
+        return hashlib.sha256(repr(said).encode()).hexdigest()[:32]
 
 
 class _Record(msgspec.Struct, frozen=True, array_like=True):

@@ -20,16 +20,17 @@ class Inputs(msgspec.Struct, frozen=True, array_like=True):
     """`files` by path with the SHA-256 of their bytes, b"" where there was none.
 
     `code` are modules, by path with the time of the last change in nanoseconds and the size, and folders of
-    modules, by path with a checksum of the names in them and how many those are.
+    modules, by path with a checksum of the names in them and how many those are. Paths are in the bytes of
+    the file system, which may be no text.
     """
 
-    files: dict[str, bytes]
-    code: tuple[tuple[str, int, int], ...]
+    files: dict[bytes, bytes]
+    code: tuple[tuple[bytes, int, int], ...]
 
     def unchanged(self) -> bool:
         """Whether all is as it was."""
-        return all(_state(path) == (path, *then) for path, *then in self.code) and all(
-            _digest(path) == digest for path, digest in self.files.items()
+        return all(_state(os.fsdecode(path)) == (path, *then) for path, *then in self.code) and all(
+            _digest(os.fsdecode(path)) == digest for path, digest in self.files.items()
         )
 
 
@@ -52,7 +53,9 @@ class Watch:
         paths = {os.path.abspath(path) for path in (*self._opened, *map(str, looked_for))}
         made = os.path.abspath(workshop)
         files = sorted(path for path in paths if not path.startswith(made) and _counts(path))
-        return Inputs({path: _digest(path) for path in files}, tuple(map(_state, sorted(_code()))))
+        return Inputs(
+            {os.fsencode(path): _digest(path) for path in files}, tuple(map(_state, sorted(_code())))
+        )
 
 
 def _counts(path: str) -> bool:
@@ -71,15 +74,16 @@ def _code() -> set[str]:
     }
 
 
-def _state(path: str) -> tuple[str, int, int]:
+def _state(path: str) -> tuple[bytes, int, int]:
+    name = os.fsencode(path)
     try:
         if os.path.isdir(path):
             names = sorted(filter(_is_importable, os.listdir(path)))
-            return path, zlib.crc32("\0".join(names).encode("utf-8", "replace")), len(names)
+            return name, zlib.crc32("\0".join(names).encode("utf-8", "replace")), len(names)
         found = os.stat(path)
     except OSError:
-        return path, -1, -1
-    return path, found.st_mtime_ns, found.st_size
+        return name, -1, -1
+    return name, found.st_mtime_ns, found.st_size
 
 
 def _is_importable(name: str) -> bool:

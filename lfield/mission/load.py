@@ -35,6 +35,7 @@ from lfield.mission.team import Team, parse_maps, team_of
 from lfield.text.files import look_at, read_head, reason
 from lfield.text.source import Diagnostic, Remark
 from lfield.text.suggest import listed
+from lfield.text.visible import as_text
 from lfield.vm.offers import ways
 
 #: Suffixes of the files of a mission that stand beside its deployment.
@@ -95,7 +96,7 @@ def load_mission(
     registry = settled(types.registry, loaded, plugins, hollow) if ways(loaded) else None
     chosen = chosen_fakes(bindings, undoubled(needed, doubled), plugins, team.types) if simulate else []
     access = _access(deploy, team, loaded, types)
-    mission = Mission(deploy.stem, loaded, team, bindings, drivers, registry, access=access)
+    mission = Mission(as_text(deploy.stem), loaded, team, bindings, drivers, registry, access=access)
     mission = _decided(mission, deployment)
     chosen += _stated_twice(mission)
     warnings += _doubts(deployment, mission)
@@ -338,7 +339,7 @@ def mission_problems(deploy: Path) -> list[Finding]:
         deployment = read_deployment(deploy, loaded.units)
         team = team_of(deployment.rows, deployment.kinds, deployment.ports)
         _access(deploy, team, loaded, _registry_types(beside(deploy, CAPABILITIES), deploy, discover()))
-        mission = _decided(Mission(deploy.stem, loaded, team, bound, KnownDrivers({})), deployment)
+        mission = _decided(Mission(as_text(deploy.stem), loaded, team, bound, KnownDrivers({})), deployment)
     except ProgramError as error:
         return list(error.diagnostics)
     except BindingError as error:

@@ -119,7 +119,7 @@ def split_address(address: str) -> tuple[str, int]:
     if not port and not address.endswith(":"):
         return host, DEFAULT_PORT
     if not (port.isascii() and port.isdigit() and int(port) <= 65535):
-        raise AddressError(address, f"{port!r} is not a port; write a number from 0 to 65535")
+        raise AddressError(address, f"'{port}' is not a port; write a number from 0 to 65535")
     return host, int(port)
 
 

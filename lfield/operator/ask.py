@@ -116,7 +116,10 @@ def ask_parties(
 def asked_in_turn(
     parties: Sequence[Party], request: Request[T], keys: Path | None = None
 ) -> Iterator[dict[Place, T | LfieldError]]:
-    """The same as it comes: first what is believed, then what hosts of other users' runs have said."""
+    """The same as it comes: first what is believed, then what hosts of other users' runs have said.
+
+    What a bug of ours has kept from being asked, or heard, is raised when everybody else has been asked.
+    """
     places = {place: address for party in parties for place, address in party.places.items()}
     failed: dict[Place, LfieldError] = {}
     try:
@@ -133,6 +136,8 @@ def asked_in_turn(
         yield {place: answers[place] for place in places if not place.user}
         answers |= runner.run(asking.others())
         yield {place: answers[place] for place in places if place.user}
+    for bug in asking.bugs:
+        raise bug
 
 
 def by_host(answers: Mapping[Place, T | LfieldError], party: Party) -> Answers[T]:
@@ -211,10 +216,13 @@ async def ask_all(
 ) -> dict[K, T | LfieldError]:
     """The answer of every host by its key; `brings` a revocation list to them.
 
-    Those of other users' runs have no more time all together than one host has.
+    Those of other users' runs have no more time all together than one host has. A bug is raised as by
+    `asked_in_turn`.
     """
     asking = await _begun(transport, addresses, request, brings)
     answers = await asking.believed() | await asking.others()
+    for bug in asking.bugs:
+        raise bug
     return {key: answers[key] for key in addresses}
 
 
@@ -233,6 +241,8 @@ class _AskingAll(Generic[K, T]):
         self._transport, self._addresses = transport, addresses
         self._request, self._brings = request, brings
         self._answers: dict[K, T | LfieldError] = {}
+        #: Exceptions that nobody means to raise: one host's must not keep the others from being asked.
+        self.bugs: list[Exception] = []
         loop = asyncio.get_running_loop()
         self._end = loop.time() + request.bound
         users: dict[str, list[K]] = defaultdict(list)
@@ -263,6 +273,9 @@ class _AskingAll(Generic[K, T]):
             return await _persistently(self._transport, address, self._request, host, self._brings)
         except LfieldError as error:
             return error
+        except Exception as bug:
+            self.bugs.append(bug)
+            return LfieldError(f"a bug in lfield itself: {type(bug).__name__}: {bug}")
 
     async def believed(self) -> dict[K, T | LfieldError]:
         """The answers of all that are there on nobody else's word."""
@@ -314,7 +327,7 @@ async def ask(
 ) -> T:
     """The answer of the host at an address, where `host` is meant to be.
 
-    Raises AddressError, GreetingError, WireError, KeysError.
+    Raises AddressError, GreetingError, WireError, KeysError, and what a bug of ours has raised.
     """
     asking, link = _Asking(request, host, brings), None
     try:
@@ -352,6 +365,16 @@ class _Asking(Generic[T]):
         return self._greeting
 
     def on_message(self, link: Link, message: Message) -> None:
+        try:
+            self._take(link, message)
+        except LfieldError:
+            raise
+        except Exception as bug:
+            # A link makes nothing of it but its end, which would be taken for the host's, and asked again.
+            if not self.answer.done():
+                self.answer.set_exception(bug)
+
+    def _take(self, link: Link, message: Message) -> None:
         greeting = self.greet(link)
         if greeting.peer is None:
             hello = greeting.receive(message)

@@ -48,6 +48,7 @@ from lfield.text.private import (
     write_private,
 )
 from lfield.text.suggest import listed
+from lfield.text.visible import as_text
 from lfield.wire.fields import MAX_LABEL, Name
 
 #: So long the path of a Unix socket may be, in bytes.
@@ -134,7 +135,7 @@ class Doors:
 def begun(mission: Mission, file: Path, here: Iterable[str]) -> Note:
     """What a run tells of itself that this process begins: the hosts `here` of a mission from a file."""
     return Note(
-        mission=str(file.absolute()),
+        mission=as_text(str(file.absolute())),
         deployment=mission.team.deployment.hex(),
         pid=os.getpid(),
         started=time.time(),

@@ -56,4 +56,4 @@ def _of(of: str) -> str:
 
 
 def _none(what: str, word: str) -> argparse.ArgumentTypeError:
-    return argparse.ArgumentTypeError(f"must be {what}, not {word!r}")
+    return argparse.ArgumentTypeError(f"must be {what}, not '{word}'")

@@ -18,6 +18,8 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from typing import TextIO, cast
 
+from lfield.text.visible import ESCAPES
+
 #: So many bytes wait for a reader, at most, before the oldest lines are dropped.
 LIMIT = 4 << 20
 #: What is written at once: on a pipe nobody else's line comes into the middle of so many bytes (PIPE_BUF).
@@ -128,7 +130,7 @@ class Outlet(io.TextIOBase):
     def _pass_on(self) -> None:
         text, self._begun = self._begun, ""
         if text and not self._broken:
-            self._backlog.put(text.encode(errors="backslashreplace"))
+            self._backlog.put(text.encode(errors=ESCAPES))
             self._changed.notify_all()
 
     # --- its thread -----------------------------------------------------------------------------------

@@ -7,11 +7,16 @@ as L writes them in a text, `\\u{1b}`, so that whoever reads on knows what was m
 
 from __future__ import annotations
 
+import codecs
+import re
 import unicodedata
 
 #: Kinds of characters that are no signs to be read: controls, formats, halves of a pair, and unassigned ones.
 _OBEYED = frozenset({"Cc", "Cf", "Cs", "Co", "Cn", "Zl", "Zp"})
 _SHORT = {"\n": "\\n", "\t": "\\t", "\r": "\\r", "\0": "\\0"}
+_HALVES = re.compile("[\ud800-\udfff]")
+#: The `errors` of a stream that shows what its encoding does not have in the same way.
+ESCAPES = "lfield.escapes"
 #: What lays out a text of several lines.
 LAYOUT = "\n\t"
 
@@ -39,9 +44,26 @@ def continued(text: str) -> str:
     return "\n".join([first, *more])
 
 
+def as_text(word: str) -> str:
+    """A word of the command line, or the name of a file, as text that can be kept and sent.
+
+    Where its bytes are no UTF-8, Python has a half of a pair for each, which nothing encodes: `\\u{dcff}`.
+    """
+    return _HALVES.sub(lambda half: _escaped(half[0]), word)
+
+
 def clipped(text: str, most: int) -> str:
     """At most so many characters of a text, the last one `…` where it is longer."""
     return text if len(text) <= most else f"{text[: most - 1]}…"
+
+
+def _unencodable(error: UnicodeError) -> tuple[str, int]:
+    if not isinstance(error, UnicodeEncodeError):
+        raise error
+    return "".join(map(_escaped, error.object[error.start : error.end])), error.end
+
+
+codecs.register_error(ESCAPES, _unencodable)
 
 
 def _is_sign(character: str) -> bool:

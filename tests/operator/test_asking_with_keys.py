@@ -78,10 +78,12 @@ def asked(
         door = f"unix:{ring.folder}/door"
         listeners = [await transport.listen(at, host.called) for at in ("127.0.0.1:0", door)]
         party = Party((), {"alpha": listeners[0].address, "here": door})
-        answers = await asyncio.to_thread(ask.ask_parties, [party], request, keys)
-        for listener in listeners:
-            listener.close()
-        await asyncio.sleep(0)
+        try:
+            answers = await asyncio.to_thread(ask.ask_parties, [party], request, keys)
+        finally:
+            for listener in listeners:
+                listener.close()
+            await asyncio.sleep(0)
         return answers[Place("", "alpha")], answers[Place("", "here")]
 
     return asyncio.run(story())
@@ -226,3 +228,17 @@ def asked_of(user: int, request, heard: list[object] | None = None):
     if heard is not None:
         heard += [message for _, message in host.heard]
     return answer
+
+
+def test_a_bug_of_ours_is_told_as_one_and_not_tried_again(ring, monkeypatch):
+    """Taken for a host that cannot be reached, it would be asked again and again, and nobody would know."""
+    host, called = Alpha(), []
+    host.called = lambda link: called.append(link) or host
+
+    def clipped_badly(reason: str) -> str:
+        return reason + "\udcff"
+
+    monkeypatch.setattr(ask, "clip", clipped_badly)
+    with pytest.raises(UnicodeEncodeError):
+        asked(ring, ask.emergency_stop("fire"), ring.folder, host)
+    assert len(called) == 2

@@ -175,7 +175,7 @@ def test_an_incomplete_line_waits_for_its_end_or_flush():
     print("one", "line", file=outlet)
     assert os.read(reading, 100) == b"one line\n"
     outlet.write("no UTF-8: \ud800\n")
-    assert os.read(reading, 100) == b"no UTF-8: \\ud800\n"
+    assert os.read(reading, 100) == b"no UTF-8: \\u{d800}\n"
 
 
 @pytest.mark.parametrize(("gone", "why"), [(False, "No space left on device"), (True, "Broken pipe")])

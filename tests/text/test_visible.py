@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 
 from lfield.text.findings import Table
 from lfield.text.source import Diagnostic, Source, Span
-from lfield.text.visible import clipped, continued, in_one_line, visible
+from lfield.text.visible import ESCAPES, as_text, clipped, continued, in_one_line, visible
 
 
 @pytest.mark.parametrize(
@@ -25,6 +25,21 @@ from lfield.text.visible import clipped, continued, in_one_line, visible
 )
 def test_what_a_terminal_would_obey_is_shown(text: str, shown: str) -> None:
     assert visible(text) == shown
+
+
+@pytest.mark.parametrize(
+    ("word", "text"),
+    [("grün\n\x1b", "grün\n\x1b"), ("gr\udcf6\udcdfe", r"gr\u{dcf6}\u{dcdf}e"), ("\ud83e", r"\u{d83e}")],
+)
+def test_bytes_that_are_no_text_become_text(word: str, text: str) -> None:
+    assert as_text(word) == text
+    text.encode()
+
+
+def test_what_an_encoding_does_not_have_is_an_escape_too() -> None:
+    assert "ü\udcff日".encode("latin-1", ESCAPES) == b"\xfc\\u{dcff}\\u{65e5}"
+    with pytest.raises(UnicodeDecodeError):
+        b"\xff".decode("ascii", ESCAPES)
 
 
 @given(st.text())

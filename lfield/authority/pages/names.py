@@ -52,7 +52,7 @@ def spelled(text: str) -> str:
     if address is None and len(name) <= _MOST and _NAME.fullmatch(name) and not name.split(".")[-1].isdigit():
         return name
     raise KeysError(
-        f"{text!r} is no address or name that a browser could open a page by: give one such as 192.168.1.20 "
+        f"'{text}' is no address or name that a browser could open a page by: give one such as 192.168.1.20 "
         "or ground.local"
     )
 

@@ -50,7 +50,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def _number(text: str) -> int:
     if not text.isdecimal() or len(text) > 18:
-        raise argparse.ArgumentTypeError(f"events are counted from 1, and {text!r} is no number of one")
+        raise argparse.ArgumentTypeError(f"events are counted from 1, and '{text}' is no number of one")
     return int(text)
 
 
@@ -115,7 +115,7 @@ def _kinds(text: str, known: Sequence[str]) -> frozenset[str]:
         if word not in known:
             hint = did_you_mean(word, known)
             raise UsageError(
-                f"there are no events of kind {word!r} here, but {listed(known)}{f'; {hint}' if hint else ''}"
+                f"there are no events of kind '{word}' here, but {listed(known)}{f'; {hint}' if hint else ''}"
             )
     return frozenset(named or known)
 
@@ -167,7 +167,7 @@ def _named(names: dict[Place, str], only: Sequence[str]) -> dict[Place, str]:
         if name not in hosts:
             hint = did_you_mean(name, sorted(hosts))
             raise UsageError(
-                f"there is no host {name!r}: there is {listed(sorted(hosts))}{f'; {hint}' if hint else ''}"
+                f"there is no host '{name}': there is {listed(sorted(hosts))}{f'; {hint}' if hint else ''}"
             )
     return {place: name for place, name in names.items() if not only or {place.host, name} & set(only)}
 

@@ -45,7 +45,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def _size(text: str) -> int:
     """The number of members of a team."""
     if not text.isdecimal() or not 1 <= int(text[:9]) <= MAX_TEAM:
-        raise argparse.ArgumentTypeError(f"a team has from 1 to {MAX_TEAM} members, not {text!r}")
+        raise argparse.ArgumentTypeError(f"a team has from 1 to {MAX_TEAM} members, not '{text}'")
     return int(text)
 
 

@@ -10,6 +10,7 @@ from lfield.driver.contract import Manifest, Option
 from lfield.driver.frame import Placement
 from lfield.driver.known import Drivers, KnownDriver
 from lfield.driver.plugin import why_no_endpoint
+from lfield.text.visible import as_text
 from lfield.text.yaml_fields import Fields
 from lfield.text.yaml_source import Entry, Scalar
 
@@ -120,7 +121,11 @@ class DevicesReader:
         path = self._folder / text
         if text and not path.is_file():
             fields.report("Y113", f"there is no file {path}", fields.value_span(key))
-        return str(path.resolve()) if text else ""
+        whole = str(path.resolve())
+        if text and whole != as_text(whole):
+            told = f"the file is at {as_text(whole)}, which is no UTF-8 and cannot travel with a binding"
+            fields.report("Y113", told, fields.value_span(key), "rename the folder or the file")
+        return whole if text else ""
 
     def _option(self, fields: Fields, option: Option) -> OptionValue | None:
         required = option.default is None
