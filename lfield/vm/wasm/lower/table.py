@@ -14,8 +14,8 @@ So a row has only what is common; whatever is rare has one description, that of 
 locals `x`, `y` (i64), `u` (f64) and `p` (i32) are free for every row.
 
 What ends a run of instructions is in CONTROL instead: its text has the ways to other runs in it, which are
-nested (`Method._end`). What is pushed and popped is an operand of its head (GROUPED). What is in none leaves. So
-does what takes long, as with long strings and arrays: a run of so many instructions must have an end soon.
+nested (`Method._end`). What is pushed and popped is an operand of its head (GROUPED). What is in none leaves.
+So does what takes long, as with long strings and arrays: a run of so many instructions must have an end soon.
 """
 
 from __future__ import annotations
