@@ -8,6 +8,7 @@ from __future__ import annotations
 import ctypes
 import mmap
 import resource
+from collections import deque
 from functools import cache
 from typing import Any
 
@@ -19,6 +20,8 @@ from lfield.vm.wasm.lower.module import STACK
 PAGE = 1 << 16
 #: The most a memory can have. With so many addresses reserved, code needs no checks that it stays within.
 WHOLE = 1 << 32
+#: The version of wasmtime that pyproject.toml asks for.
+VERSION = 50
 #: What is tried, one after another, where addresses are limited (`ulimit -v`).
 RESERVATIONS = (WHOLE, 1 << 30, 1 << 28, 1 << 26, 1 << 24)
 #: Regions have one of four sizes between two powers of two; this is the smallest.
@@ -33,18 +36,31 @@ _STEP = 16
 
 @cache
 def compiler(reservation: int) -> wasmtime.Engine:
-    """What compiles for memories with so many addresses; one for a process, so its hosts share modules."""
+    """What compiles for memories with so many addresses; one for a process, so its hosts share modules.
+
+    Raises ImportError where this wasmtime lacks a setting.
+    """
     config = wasmtime.Config()
-    config.memory_reservation = reservation
-    config.memory_reservation_for_growth = 0
-    config.memory_may_move = False
-    if reservation < WHOLE:
-        config.memory_guard_size = PAGE
-    config.wasm_wide_arithmetic = True
-    config.cranelift_nan_canonicalization = True
-    config.parallel_compilation = False
-    config.max_wasm_stack = STACK
+    for name, value in settings(reservation).items():
+        # One that it does not know would be taken as well, and do nothing.
+        if not hasattr(wasmtime.Config, name):
+            raise ImportError(f"it has no setting {name}; lfield needs version {VERSION}")
+        setattr(config, name, value)
     return wasmtime.Engine(config)
+
+
+def settings(reservation: int) -> dict[str, int | bool]:
+    """The settings of what compiles for memories with so many addresses, by their names in wasmtime."""
+    return {
+        "memory_reservation": reservation,
+        "memory_reservation_for_growth": 0,
+        "memory_may_move": False,
+        "wasm_wide_arithmetic": True,
+        "cranelift_nan_canonicalization": True,
+        "parallel_compilation": False,
+        "max_wasm_stack": STACK,
+        **({"memory_guard_size": PAGE} if reservation < WHOLE else {}),
+    }
 
 
 class Arena:
@@ -56,6 +72,8 @@ class Arena:
         self.address = ctypes.addressof(self.memory.data_ptr(self.store).contents)
         self._next = low + -low % 8
         self._free: dict[int, list[int]] = {}
+        #: What was freed since something was taken: the collector of Python may free while that is done.
+        self._freed: deque[tuple[int, int]] = deque()
 
     def view(self, base: int, size: int) -> memoryview:
         """So many bytes from a place in the memory, for as long as the arena is there."""
@@ -90,6 +108,9 @@ class Arena:
 
     def take(self, capacity: int) -> int:
         """Where so many bytes (a size class) are that are nobody's until they are freed; -1: nowhere."""
+        while self._freed:
+            base, size = self._freed.popleft()
+            self._free.setdefault(size, []).append(base)
         free = self._free.get(capacity)
         if free:
             return free.pop()
@@ -97,12 +118,15 @@ class Arena:
         return base if base >= 0 else self._joined(capacity)
 
     def free(self, base: int, capacity: int) -> None:
-        """Nobody has a view of a region any more; the system has the memory of a large one back."""
+        """Nobody has a view of a region any more; the system has the memory of a large one back.
+
+        It may be called at any moment, in the middle of `take` too.
+        """
         if capacity >= _LARGE:
             start = self.address + base
             first, last = start + -start % mmap.PAGESIZE, (start + capacity) // mmap.PAGESIZE * mmap.PAGESIZE
             _advise(first, last - first, mmap.MADV_DONTNEED)
-        self._free.setdefault(capacity, []).append(base)
+        self._freed.append((base, capacity))
 
     def _joined(self, capacity: int) -> int:
         """A region of freed ones that lie side by side; what is left over stays free. -1: nowhere."""

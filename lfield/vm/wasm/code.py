@@ -27,8 +27,10 @@ from lfield.vm.wasm.runtime.functions import runtime_text
 #: So many programs are kept in a process: tests have many of them, a host has one.
 KEPT = 16
 _recent: OrderedDict[tuple[bytes, int], Code] = OrderedDict()
-#: The packages whose files say what code is made of a program.
-_MAKERS = ("lfield.vm.wasm", "lfield.vm.maths", "lfield.bytecode", "lfield.vm.memory")
+#: The packages whose files say what code is made of a program: whatever `lower` imports.
+_MAKERS = ("lfield.vm", "lfield.bytecode")
+#: What it imports besides, which says nothing of code: kinds of devices, errors and their numbers.
+_NO_MAKERS = ("lfield.manifest", "lfield.errors", "lfield.exits")
 
 
 class Cache(Protocol):

@@ -29,8 +29,8 @@ _give = struct.Struct(f"<{len(GIVEN) + len(KEPT)}q").pack_into
 _told = struct.Struct(f"<{len(KEPT) + len(TOLD)}q").unpack_from
 
 
-#: What making an engine raises where there is no room for one.
-UNUSABLE = (MemoryError, OSError, wasmtime.WasmtimeError)
+#: What making an engine raises where there is no room for one, or wasmtime is of another version.
+UNUSABLE = (ImportError, MemoryError, OSError, wasmtime.WasmtimeError)
 
 
 class Engine:
