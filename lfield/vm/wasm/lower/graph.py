@@ -15,8 +15,9 @@ from lfield.vm.reference.prepare import Prepared
 
 #: A method is long whose instructions times slots, with some of our own, are more.
 LONG = 10_000
-#: No way through a long method goes over more instructions without a point.
-STRETCH = 64
+#: No way through a method goes over more instructions without a point: what the compiler has computed before
+#: one is not there behind it, so no more values than these give are alive at once (`stack.py`).
+STRETCH = 32
 
 
 @dataclass(frozen=True, slots=True)
@@ -160,12 +161,11 @@ class Graph:
             elif name not in ("return", "rtn", "throw") and (name == "call" or not self._lowered(i)):
                 heads.add(i.after)
                 self.points.add(i.after)
-        if self.long:
-            heads |= self._stretched()
+        heads |= self._stretched()
         return {pc for pc in heads if pc in self.instructions}
 
     def _stretched(self) -> set[int]:
-        """More points for a long method: they cut long chains of values, which cost the compiler too much."""
+        """More points: they cut long chains of values, which cost the compiler and its stack too much."""
         since: dict[int, int] = {}
         for pc, i in self.instructions.items():
             if since.get(pc, 0) >= STRETCH:

@@ -30,6 +30,7 @@ from lfield.vm.wasm.lower.operands import address_of, filled, image_of, real_con
 from lfield.vm.wasm.lower.routes import Routes, Switch, Test
 from lfield.vm.wasm.lower.shape import Go, Item, Shape
 from lfield.vm.wasm.lower.slots import slots_of
+from lfield.vm.wasm.lower.stack import most_bytes
 from lfield.vm.wasm.lower.table import ROWS, no_room
 from lfield.vm.wasm.lower.traps import INDEX, Traps
 
@@ -59,6 +60,10 @@ class Method:
         self.segments: dict[str, bytes] = {}
         types = [self._type(t) for t in method.slots]
         self.slots = slots_of(types, method.parameters + 1, long=graph.long)
+        instructions = graph.instructions.values()
+        #: The methods it calls, and how many bytes of WebAssembly's own stack its function takes at most.
+        self.calls = {i.quad.a for i in instructions if i.row.name == "call"}
+        self.stack = most_bytes(instructions, self.slots.stacked)
         self.result = "" if self._kind(method.result) == VOID else self._type(method.result)
         self.words = prepared.layouts.frame_words[index]
 

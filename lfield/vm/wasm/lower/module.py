@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass
 
 from lfield.bytecode.program import Program
@@ -11,12 +10,11 @@ from lfield.vm.wasm.lower.driver import GLOBALS, driver
 from lfield.vm.wasm.lower.maths import maths_name, maths_text
 from lfield.vm.wasm.lower.method import Method
 from lfield.vm.wasm.lower.routes import Irreducible
+from lfield.vm.wasm.lower.stack import deepest
 from lfield.vm.wasm.lower.table import MATHS, RUNTIME
 from lfield.vm.wasm.lower.tables import Tables
 from lfield.vm.wasm.lower.traps import Traps
 
-#: The size of WebAssembly's own stack, in bytes.
-STACK = 1 << 20
 #: The longest text of a function: it has two characters at least for each of the 7,654,321 bytes allowed.
 LONGEST = 15_000_000
 #: Where its tables begin, behind the registers.
@@ -62,7 +60,7 @@ def module(prepared: Prepared) -> Module:
         *functions,
         traps.text(),
         maths_text(name for name in MATHS if any(f" {maths_name(name)} " in text for text in functions)),
-        driver(_deepest(methods.values()), tables, catches=not prepared.program.has_limits),
+        driver(_deepest(methods), tables, catches=not prepared.program.has_limits),
         ")",
     ]
     text = "\n".join(line for line in lines if line) + "\n"
@@ -99,10 +97,9 @@ def _functions(methods: dict[int, Method], left: dict[int, str]) -> list[str]:
     return _functions(methods, left)
 
 
-def _deepest(methods: Iterable[Method]) -> int:
+def _deepest(methods: dict[int, Method]) -> int:
     """How many calls fit WebAssembly's own stack; deeper ones begin a new one from the driver."""
-    slots = max((m.slots.stacked for m in methods), default=1)
-    return STACK // 2 // (256 + 24 * slots)
+    return deepest({i: m.stack for i, m in methods.items()}, {i: m.calls for i, m in methods.items()})
 
 
 def _strings(data: bytes) -> str:
