@@ -126,6 +126,8 @@ class Host:
             self.core, self.guards, self.clock, self._enter, self.status, self.note, self.scribe.all_kept
         )
         self.changed = asyncio.Event()
+        #: The agents whose last death here was by a bug of lfield.
+        self.broken: set[str] = set()
         #: Set when the host has failed: `failure` says by what.
         self.failed = asyncio.Event()
         self.failure: HostFailure | None = None
@@ -305,6 +307,7 @@ class Host:
             case Reach():
                 self.peers.reach(effect.host)
             case Died():
+                (self.broken.add if effect.agent.broken else self.broken.discard)(effect.agent.id)
                 if self.options.dump:
                     self.note(dump_agent(self.mission, self.name, effect.agent, self.options.dump))
             case _:

@@ -31,6 +31,8 @@ class Agent:
     thread has run since; `asked` are those that looked beyond the block; `pollers` are parked. `readings` are
     the telemetry that the host keeps for it, by device call; a coordinator names no device and has none.
 
+    `broken` says of one that has died that a bug of lfield has ended it, not its program.
+
     `kept` is true while a coordinator stands at a portal call and its host has its block on the disk as it is
     there. A `fenced` one begins no portal unless its host allows it.
     `callers` has, by the id of each coordinator that a resource has served, the newest copy of it: its
@@ -50,6 +52,7 @@ class Agent:
     kept: bool
     ended = ""
     report = ""
+    broken = False
     served = 0
     seen = b""
     polled = False
