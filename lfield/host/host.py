@@ -126,8 +126,7 @@ class Host:
             self.core, self.guards, self.clock, self._enter, self.status, self.note, self.scribe.all_kept
         )
         self.changed = asyncio.Event()
-        #: The agents whose last death here was by a bug of lfield.
-        self.broken: set[str] = set()
+        self.broken: dict[str, bool] = {}  # by agent that has died here: whether of a bug of lfield
         #: Set when the host has failed: `failure` says by what.
         self.failed = asyncio.Event()
         self.failure: HostFailure | None = None
@@ -307,7 +306,7 @@ class Host:
             case Reach():
                 self.peers.reach(effect.host)
             case Died():
-                (self.broken.add if effect.agent.broken else self.broken.discard)(effect.agent.id)
+                self.broken[effect.agent.id] = effect.agent.broken
                 if self.options.dump:
                     self.note(dump_agent(self.mission, self.name, effect.agent, self.options.dump))
             case _:

@@ -169,7 +169,7 @@ def _told(host: Host, fate: Fate) -> int:
             return exits.UNHEARD
         case "lost":
             host.note(f"{fate.agent} is lost: {fate.detail}")
-        case "died" if fate.agent in host.broken:
+        case "died" if host.broken.get(fate.agent):
             return exits.SOFTWARE
     return exits.FAILED
 

@@ -15,7 +15,7 @@ from typing import Any
 import wasmtime
 
 from lfield.vm.memory.space import SEPARATE, Buffer
-from lfield.vm.wasm.lower.stack import STACK
+from lfield.vm.wasm.stack import STACK
 
 PAGE = 1 << 16
 #: The most a memory can have. With so many addresses reserved, code needs no checks that it stays within.

@@ -1,6 +1,6 @@
 """WebAssembly's own stack holds every chain of calls that a program may have, whatever its methods compute.
 
-What a function takes there nobody says beforehand: `lfield.vm.wasm.lower.stack` has to know what is the most.
+What a function takes there nobody says beforehand: `lfield.vm.wasm.stack` has to know what is the most.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ wasmtime = pytest.importorskip("wasmtime", reason=NEEDED)
 
 from lfield.vm.wasm import arena, code  # noqa: E402
 from lfield.vm.wasm.engine import Eager as Engine  # noqa: E402
-from lfield.vm.wasm.lower.stack import OTHERS, STACK, deepest  # noqa: E402
+from lfield.vm.wasm.stack import OTHERS, STACK, deepest  # noqa: E402
 
 
 def _each(line: str, count: int, times: int = 2) -> str:

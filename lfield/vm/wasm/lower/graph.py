@@ -12,12 +12,10 @@ from dataclasses import dataclass, field
 from lfield.bytecode.opcodes import BY_CODE, Opcode
 from lfield.bytecode.program import CATCH, FINALLY, MethodRecord, Quad
 from lfield.vm.reference.prepare import Prepared
+from lfield.vm.wasm.stack import STRETCH
 
 #: A method is long whose instructions times slots, with some of our own, are more.
 LONG = 10_000
-#: No way through a method goes over more instructions without a point: what the compiler has computed before
-#: one is not there behind it, so no more values than these give are alive at once (`stack.py`).
-STRETCH = 32
 
 
 @dataclass(frozen=True, slots=True)

@@ -30,9 +30,9 @@ from lfield.vm.wasm.lower.operands import address_of, filled, image_of, real_con
 from lfield.vm.wasm.lower.routes import Routes, Switch, Test
 from lfield.vm.wasm.lower.shape import Go, Item, Shape
 from lfield.vm.wasm.lower.slots import slots_of
-from lfield.vm.wasm.lower.stack import most_bytes
 from lfield.vm.wasm.lower.table import ROWS, no_room
 from lfield.vm.wasm.lower.traps import INDEX, Traps
+from lfield.vm.wasm.stack import most_bytes
 
 #: What a function says besides its result: it has returned; it stands where the reference engine must go on;
 #: its budget does not suffice for what comes next; the thread's first method has returned; it has thrown
@@ -63,7 +63,8 @@ class Method:
         instructions = graph.instructions.values()
         #: The methods it calls, and how many bytes of WebAssembly's own stack its function takes at most.
         self.calls = {i.quad.a for i in instructions if i.row.name == "call"}
-        self.stack = most_bytes(instructions, self.slots.stacked)
+        passed = max(len(i.arguments) for i in instructions)
+        self.stack = most_bytes(len(instructions), passed, self.slots.stacked)
         self.result = "" if self._kind(method.result) == VOID else self._type(method.result)
         self.words = prepared.layouts.frame_words[index]
 

@@ -10,10 +10,10 @@ from lfield.vm.wasm.lower.driver import GLOBALS, driver
 from lfield.vm.wasm.lower.maths import maths_name, maths_text
 from lfield.vm.wasm.lower.method import Method
 from lfield.vm.wasm.lower.routes import Irreducible
-from lfield.vm.wasm.lower.stack import deepest
 from lfield.vm.wasm.lower.table import MATHS, RUNTIME
 from lfield.vm.wasm.lower.tables import Tables
 from lfield.vm.wasm.lower.traps import Traps
+from lfield.vm.wasm.stack import deepest
 
 #: The longest text of a function: it has two characters at least for each of the 7,654,321 bytes allowed.
 LONGEST = 15_000_000

@@ -4,8 +4,7 @@ A function takes a place for each value that is needed again when the registers 
 computes nothing twice, so what an expression gave may be needed until the method's end; and it computes what
 only a way out needs at that way out, with the whole chain of values that leads there. So places would grow
 with the square of a method's length. But at a point it knows nothing any more, as who resumes comes there as
-well, and no way goes over more than STRETCH instructions without one (`graph.py`). What remains are values
-that a loop does not change: an instruction has at most four, of 8 bytes. So places grow with the
+well, and no way goes over more than STRETCH instructions without one. What remains are values that a loop does not change: an instruction has at most four, of 8 bytes. So places grow with the
 instructions. The most that was found, in loops over hundreds of roots, comparisons and powers, is a quarter
 of VALUES each, and half of ARGUMENT: what a call passes is there once as a value, and once more as it is
 passed. Where slots are in the frame, nothing else grows. The half of all is in reserve, as
@@ -15,10 +14,10 @@ tests/vm/wasm/test_stack.py tries.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 
-from lfield.vm.wasm.lower.graph import STRETCH, Instruction
-
+#: No way through a method goes over more instructions without a point.
+STRETCH = 32
 #: The size of WebAssembly's own stack, and what the driver, the runtime and the maths take of it, in bytes.
 STACK, OTHERS = 1 << 20, 1 << 16
 #: What a function takes at most: by itself, for each local, for what each instruction gives, and for each
@@ -26,10 +25,12 @@ STACK, OTHERS = 1 << 20, 1 << 16
 ITSELF, LOCAL, VALUES, ARGUMENT = 256, 24, 32, 32
 
 
-def most_bytes(instructions: Collection[Instruction], slots: int | None) -> int:
-    """What the function of a method takes at most; `slots` are those that are locals, None: it is long."""
-    passed = max((len(i.arguments) for i in instructions), default=0)
-    values = len(instructions) if slots is not None else STRETCH
+def most_bytes(instructions: int, passed: int, slots: int | None) -> int:
+    """What the function of a method takes at most: of so many instructions, with so many arguments of a call.
+
+    `slots` are those that are locals; None where all are in the frame.
+    """
+    values = instructions if slots is not None else STRETCH
     return ITSELF + LOCAL * (slots or 0) + VALUES * values + ARGUMENT * passed
 
 
