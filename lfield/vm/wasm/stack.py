@@ -4,7 +4,8 @@ A function takes a place for each value that is needed again when the registers 
 computes nothing twice, so what an expression gave may be needed until the method's end; and it computes what
 only a way out needs at that way out, with the whole chain of values that leads there. So places would grow
 with the square of a method's length. But at a point it knows nothing any more, as who resumes comes there as
-well, and no way goes over more than STRETCH instructions without one. What remains are values that a loop does not change: an instruction has at most four, of 8 bytes. So places grow with the
+well, and no way goes over more than STRETCH instructions without one. What remains are values
+that a loop does not change: an instruction has at most four, of 8 bytes. So places grow with the
 instructions. The most that was found, in loops over hundreds of roots, comparisons and powers, is a quarter
 of VALUES each, and half of ARGUMENT: what a call passes is there once as a value, and once more as it is
 passed. Where slots are in the frame, nothing else grows. The half of all is in reserve, as
