@@ -126,6 +126,7 @@ class Host:
             self.core, self.guards, self.clock, self._enter, self.status, self.note, self.scribe.all_kept
         )
         self.changed = asyncio.Event()
+        self.broken: dict[str, bool] = {}  # by agent that has died here: whether of a bug of lfield
         #: Set when the host has failed: `failure` says by what.
         self.failed = asyncio.Event()
         self.failure: HostFailure | None = None
@@ -305,6 +306,7 @@ class Host:
             case Reach():
                 self.peers.reach(effect.host)
             case Died():
+                self.broken[effect.agent.id] = effect.agent.broken
                 if self.options.dump:
                     self.note(dump_agent(self.mission, self.name, effect.agent, self.options.dump))
             case _:

@@ -29,9 +29,11 @@ class Member:
 class Agent:
     """An agent that is here. None of its execution state is outside `block`."""
 
-    #: How it ended, '' while it is here; of one that died `report` is why, with a line for each call.
+    #: How it ended, '' while it is here; of one that died `report` is why, with a line for each call, and
+    #: `broken` says whether a bug of lfield has ended it, not its program.
     ended = ""
     report = ""
+    broken = False
     #: How many portals of it have returned.
     served = 0
     #: The block as the last thread that polls left it, empty when another thread has run since.

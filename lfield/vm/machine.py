@@ -348,6 +348,7 @@ class Machine:
         frame = python_traceback.extract_tb(error.__traceback__)[-1]
         where = f"{frame.filename.rpartition('/')[2]}:{frame.lineno}"
         reason = f"bug in lfield: {type(error).__name__}: {error} ({where})"
+        agent.broken = True
         try:
             self._scheduler.die(agent, reason, thread)
         except Exception:

@@ -6,9 +6,12 @@ import asyncio
 
 import pytest
 
+from lfield import exits
 from lfield.host.core import HostCore
 from lfield.host.host import Host
 from lfield.host.logbook import Logbook
+from lfield.host.process.run import live
+from lfield.host.process.stop_words import StopWords
 from lfield.host.team.world import HostWorld
 from lfield.mobility.core import Mobility
 from lfield.net.peers import Peers, Session
@@ -232,5 +235,29 @@ def test_what_a_callback_of_a_link_raises_is_no_lost_connection(fleet, monkeypat
         monkeypatch.setattr(Session, place, planted)
         await asyncio.sleep(5.0)
         assert isinstance(alpha.host.failure.cause, error)
+
+    fleet(story)
+
+
+LONELY = """
+coordinator Walker { init(string[] arg) { sleep(0.1); %s } }
+"""
+
+
+@pytest.mark.parametrize(
+    ("does", "planted", "status"),
+    [
+        ("print(1);", False, exits.DONE),
+        ("print(arg[7]);", False, exits.FAILED),
+        ("print(1);", True, exits.SOFTWARE),
+    ],
+)
+def test_until_done_ends_with_what_a_coordinator_died_of(fleet, monkeypatch, does, planted, status):
+    if planted:
+        plant(monkeypatch, Outsiders, "_sleep")
+
+    async def story(team):
+        alpha = team.make(team.mission(LONELY % does, "//Walker:walker@alpha"), "alpha")
+        assert await live(alpha.host, StopWords(alpha.host.clock), 30.0) == status
 
     fleet(story)

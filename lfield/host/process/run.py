@@ -169,6 +169,8 @@ def _told(host: Host, fate: Fate) -> int:
             return exits.UNHEARD
         case "lost":
             host.note(f"{fate.agent} is lost: {fate.detail}")
+        case "died" if host.broken.get(fate.agent):
+            return exits.SOFTWARE
     return exits.FAILED
 
 

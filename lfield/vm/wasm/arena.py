@@ -8,6 +8,7 @@ from __future__ import annotations
 import ctypes
 import mmap
 import resource
+from collections import deque
 from functools import cache
 from typing import Any
 
@@ -38,6 +39,8 @@ class Arena:
         self.address = ctypes.addressof(self.memory.data_ptr(self.store).contents)
         self._next = low + -low % 8
         self._free: dict[int, list[int]] = {}
+        #: What was freed since something was taken: the collector of Python may free while that is done.
+        self._freed: deque[tuple[int, int]] = deque()
 
     def view(self, base: int, size: int) -> memoryview:
         """So many bytes from a place in the memory, for as long as the arena is there."""
@@ -72,6 +75,9 @@ class Arena:
 
     def take(self, capacity: int) -> int:
         """Where so many bytes (a size class) are that are nobody's until they are freed; -1: nowhere."""
+        while self._freed:
+            base, size = self._freed.popleft()
+            self._free.setdefault(size, []).append(base)
         free = self._free.get(capacity)
         if free:
             return free.pop()
@@ -79,12 +85,15 @@ class Arena:
         return base if base >= 0 else self._joined(capacity)
 
     def free(self, base: int, capacity: int) -> None:
-        """Nobody has a view of a region any more; the system has the memory of a large one back."""
+        """Nobody has a view of a region any more; the system has the memory of a large one back.
+
+        It may be called at any moment, in the middle of `take` too.
+        """
         if capacity >= _LARGE:
             start = self.address + base
             first, last = start + -start % mmap.PAGESIZE, (start + capacity) // mmap.PAGESIZE * mmap.PAGESIZE
             _advise(first, last - first, mmap.MADV_DONTNEED)
-        self._free.setdefault(capacity, []).append(base)
+        self._freed.append((base, capacity))
 
     def _joined(self, capacity: int) -> int:
         """A region of freed ones that lie side by side; what is left over stays free. -1: nowhere."""

@@ -30,8 +30,10 @@ KEPT = 16
 _recent: OrderedDict[tuple[bytes, int], Code] = OrderedDict()
 #: What stands for the runtime among the digests of programs.
 _RUNTIME = b"runtime"
-#: The packages whose files say what code is made of a program.
-_MAKERS = ("lfield.vm.wasm", "lfield.vm.maths", "lfield.bytecode", "lfield.vm.memory")
+#: The packages whose files say what code is made of a program: whatever `lower` imports.
+_MAKERS = ("lfield.vm", "lfield.bytecode")
+#: What it imports besides, which says nothing of code: kinds of devices, errors and their numbers.
+_NO_MAKERS = ("lfield.manifest", "lfield.errors", "lfield.exits")
 
 
 class Cache(Protocol):

@@ -16,24 +16,39 @@ import wasmtime
 
 from lfield.vm.wasm.sizes import PAGE, STACK, WHOLE
 
+#: The version of wasmtime that pyproject.toml asks for.
+VERSION = 50
 #: Of prctl: which signal this process gets when its parent ends.
 _PARENT_DEATH, _SIGKILL = 1, 9
 
 
 @cache
 def compiler(reservation: int) -> wasmtime.Engine:
-    """What compiles for memories with so many addresses; one for a process, so its hosts share modules."""
+    """What compiles for memories with so many addresses; one for a process, so its hosts share modules.
+
+    Raises ImportError where this wasmtime lacks a setting.
+    """
     config = wasmtime.Config()
-    config.memory_reservation = reservation
-    config.memory_reservation_for_growth = 0
-    config.memory_may_move = False
-    if reservation < WHOLE:
-        config.memory_guard_size = PAGE
-    config.wasm_wide_arithmetic = True
-    config.cranelift_nan_canonicalization = True
-    config.parallel_compilation = False
-    config.max_wasm_stack = STACK
+    for name, value in settings(reservation).items():
+        # One that it does not know would be taken as well, and do nothing.
+        if not hasattr(wasmtime.Config, name):
+            raise ImportError(f"it has no setting {name}; lfield needs version {VERSION}")
+        setattr(config, name, value)
     return wasmtime.Engine(config)
+
+
+def settings(reservation: int) -> dict[str, int | bool]:
+    """The settings of what compiles for memories with so many addresses, by their names in wasmtime."""
+    return {
+        "memory_reservation": reservation,
+        "memory_reservation_for_growth": 0,
+        "memory_may_move": False,
+        "wasm_wide_arithmetic": True,
+        "cranelift_nan_canonicalization": True,
+        "parallel_compilation": False,
+        "max_wasm_stack": STACK,
+        **({"memory_guard_size": PAGE} if reservation < WHOLE else {}),
+    }
 
 
 def main(reservation: int, parent: int) -> None:

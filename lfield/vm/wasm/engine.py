@@ -32,8 +32,8 @@ _told = struct.Struct(f"<{len(KEPT) + len(TOLD)}q").unpack_from
 #: A run ends after so many seconds: what is rare takes a thousand times as long as what is not. So many
 #: instructions at most are the reference engine's before that is looked at.
 LONGEST, FEW = 0.002, 2000
-#: What making an engine raises where there is no room for one.
-UNUSABLE = (MemoryError, OSError, wasmtime.WasmtimeError)
+#: What making an engine raises where there is no room for one, or wasmtime is of another version.
+UNUSABLE = (ImportError, MemoryError, OSError, wasmtime.WasmtimeError)
 
 
 class Engine:

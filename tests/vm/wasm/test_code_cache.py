@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import ast
 import os
 import platform
 import subprocess
 import sys
-from collections.abc import Iterator
+import tomllib
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -16,6 +18,7 @@ from lfield.errors import UsageError
 from lfield.host.engines import engines as engines_module
 from lfield.host.engines.engines import engines_for
 from lfield.host.engines.machine_code import KEPT, UserCache, code_folder
+from lfield.operator.doctor import engine
 from lfield.testing.engines import NEEDED
 from lfield.testing.golden import compile_text
 from lfield.vm.reference import Engine as Reference
@@ -244,3 +247,96 @@ def test_code_under_the_name_of_other_code_is_made_again(cached: Path) -> None:
     other.write_bytes(one_data)
     assert made(notes) == first
     assert [note.rpartition(": ")[2] for note in notes] == ["it is not what was written there"]
+
+
+def test_the_name_of_code_covers_whatever_it_is_made_by() -> None:
+    pytest.importorskip("wasmtime", reason=NEEDED)
+    from lfield.vm.wasm.code import _MAKERS, _NO_MAKERS
+
+    makers = _imported("lfield.vm.wasm.lower.module") | _imported("lfield.vm.wasm.runtime.functions")
+    assert {"lfield.vm.wasm.lower.table", "lfield.vm.reference.prepare"} < makers
+    covered = tuple(f"{name}." for name in (*_MAKERS, *_NO_MAKERS))
+    assert [name for name in sorted(makers) if not f"{name}.".startswith(covered)] == []
+
+
+def _imported(root: str) -> set[str]:
+    """The modules of lfield that one imports, by themselves and by others; packages only with their files."""
+    found: set[str] = set()
+    pending = [root]
+    while pending:
+        name = pending.pop()
+        path = _file_of(name)
+        if path is None or name in found:
+            continue
+        found.add(name)
+        text = path.read_text(encoding="utf-8")
+        for node in ast.walk(ast.parse(text)):
+            if isinstance(node, ast.Import):
+                pending += [alias.name for alias in node.names]
+            elif isinstance(node, ast.ImportFrom) and node.module:
+                pending += [node.module, *(f"{node.module}.{alias.name}" for alias in node.names)]
+    return found
+
+
+def _file_of(name: str) -> Path | None:
+    """The file of a module of lfield, None for whatever else has a name."""
+    path = Path(__file__).parents[3].joinpath(*name.split("."))
+    files = [path.with_suffix(".py"), path / "__init__.py"] if name.startswith("lfield.") else []
+    return next((file for file in files if file.is_file()), None)
+
+
+@pytest.fixture
+def old_wasmtime(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[str], None]]:
+    """From the call on, wasmtime is one whose configuration lacks a setting, which Python lets be set."""
+    wasmtime = pytest.importorskip("wasmtime", reason=NEEDED)
+    from lfield.vm.wasm import code, compiling
+
+    def forget() -> None:
+        compiling.compiler.cache_clear()
+        code._recent.clear()
+
+    def without(name: str) -> None:
+        left_out = ("__dict__", "__weakref__", name)
+        known = {key: value for key, value in vars(wasmtime.Config).items() if key not in left_out}
+        monkeypatch.setattr(wasmtime, "Config", type("Config", wasmtime.Config.__bases__, known))
+        forget()
+
+    yield without
+    forget()
+
+
+@pytest.mark.parametrize(
+    "setting",
+    [
+        "memory_reservation",
+        "memory_reservation_for_growth",
+        "memory_may_move",
+        "wasm_wide_arithmetic",
+        "cranelift_nan_canonicalization",
+        "parallel_compilation",
+        "max_wasm_stack",
+    ],
+)
+def test_a_wasmtime_without_a_setting_runs_nothing(
+    setting: str, old_wasmtime: Callable[[str], None], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    old_wasmtime(setting)
+    notes: list[str] = []
+    assert isinstance(engines_for("auto", notes.append)(PROGRAM, float), Reference)
+    assert notes == [
+        "the reference engine runs the program: wasmtime cannot be used: "
+        f"it has no setting {setting}; lfield needs version 50"
+    ]
+    assert engine().state == "warning"
+    with pytest.raises(UsageError, match="needs version 50"):
+        engines_for("wasm", notes.append)(PROGRAM, float)
+
+
+def test_the_version_that_is_told_is_that_of_the_project() -> None:
+    pytest.importorskip("wasmtime", reason=NEEDED)
+    from lfield.vm.wasm.compiling import VERSION
+
+    project = tomllib.loads((Path(__file__).parents[3] / "pyproject.toml").read_text(encoding="utf-8"))
+    (wanted,) = project["project"]["optional-dependencies"]["wasm"]
+    assert wanted.startswith(f"wasmtime>={VERSION},<{VERSION + 1};")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+from collections.abc import Iterable
 from itertools import pairwise
 
 import pytest
@@ -120,6 +121,30 @@ def test_freed_regions_side_by_side_are_joined(monkeypatch: pytest.MonkeyPatch) 
     three = arena.room(3 << 20)
     assert arena.base(three) == places[3]
     assert arena.base(arena.room(1 << 20)) == places[14]
+
+
+def test_regions_that_the_collector_frees_meanwhile_are_not_lost(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Python may collect at any allocation, so in the middle of joining what is free."""
+    monkeypatch.setattr("lfield.vm.wasm.arena.RESERVATIONS", (1 << 24,))
+    arena = Arena()
+    kept = [arena.room(1 << size) for size in range(9, 16) for _ in range(20)]
+    while arena.base(room := arena.room(1 << 20)) >= 0:
+        kept.append(room)
+    waiting = [arena.room(700 + 97 * i) for i in range(30)]
+
+    def sorted_meanwhile(regions: Iterable[tuple[int, int]]) -> list[tuple[int, int]]:
+        found = []
+        for region in regions:
+            waiting.clear()
+            found.append(region)
+        return sorted(found)
+
+    monkeypatch.setattr("lfield.vm.wasm.arena.sorted", sorted_meanwhile, raising=False)
+    kept.clear()
+    assert arena.base(arena.room(3_000_000)) >= 0
+    assert waiting == []
+    monkeypatch.undo()
+    assert arena.take((1 << 24) - 2 * PAGE) == PAGE
 
 
 def test_a_block_grows_to_a_gibibyte_in_the_arena() -> None:

@@ -13,11 +13,10 @@ from lfield.bytecode.opcodes import BY_CODE, Opcode
 from lfield.bytecode.program import CATCH, FINALLY, MethodRecord, Quad
 from lfield.vm.reference.prepare import Prepared
 from lfield.vm.wasm.lower.table import CONTROL
+from lfield.vm.wasm.stack import STRETCH
 
 #: A method is long whose instructions times slots, with some of our own, are more.
 LONG = 10_000
-#: No way through a long method goes over more instructions without a point.
-STRETCH = 64
 
 
 @dataclass(frozen=True, slots=True)
@@ -161,12 +160,11 @@ class Graph:
             elif ends == "Call" or not (ends or self._lowered(i)):
                 heads.add(i.after)
                 self.points.add(i.after)
-        if self.long:
-            heads |= self._stretched()
+        heads |= self._stretched()
         return {pc for pc in heads if pc in self.instructions}
 
     def _stretched(self) -> set[int]:
-        """More points for a long method: they cut long chains of values, which cost the compiler too much."""
+        """More points: they cut long chains of values, which cost the compiler and its stack too much."""
         since: dict[int, int] = {}
         for pc, i in self.instructions.items():
             if since.get(pc, 0) >= STRETCH:

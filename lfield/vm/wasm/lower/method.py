@@ -32,6 +32,7 @@ from lfield.vm.wasm.lower.shape import Go, Item, Shape
 from lfield.vm.wasm.lower.slots import slots_of
 from lfield.vm.wasm.lower.table import ROWS, no_room
 from lfield.vm.wasm.lower.traps import INDEX, Traps
+from lfield.vm.wasm.stack import most_bytes
 
 #: What a function says besides its result: it has returned; it stands where the reference engine must go on;
 #: its budget does not suffice for what comes next; the thread's first method has returned; it has thrown
@@ -58,8 +59,13 @@ class Method:
         #: What it copies to the heap, by the name of the segment.
         self.segments: dict[str, bytes] = {}
         types = [self._type(t) for t in method.slots]
+        instructions = graph.instructions.values()
+        #: The methods it calls, and how many bytes of WebAssembly's own stack its function takes at most.
+        self.calls = {i.quad.a for i in instructions if i.row.name == "call"}
+        passed = max(len(i.arguments) for i in instructions)
         self.result = "" if self._kind(method.result) == VOID else self._type(method.result)
         self.slots = slots_of(types, method.parameters + 1, self.result, long=graph.long)
+        self.stack = most_bytes(len(instructions), passed, self.slots.stacked)
         self.words = prepared.layouts.frame_words[index]
 
     def _kind(self, index: int) -> int:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass
 
 from lfield.bytecode.program import Program
@@ -15,7 +14,7 @@ from lfield.vm.wasm.lower.slots import GONE
 from lfield.vm.wasm.lower.table import MATHS, RUNTIME
 from lfield.vm.wasm.lower.tables import Tables
 from lfield.vm.wasm.lower.traps import Traps
-from lfield.vm.wasm.sizes import STACK
+from lfield.vm.wasm.stack import deepest
 
 #: The longest text of a function: it has two characters at least for each of the 7,654,321 bytes allowed.
 LONGEST = 15_000_000
@@ -63,7 +62,7 @@ def module(prepared: Prepared) -> Module:
         *functions,
         traps.text(),
         maths_text(name for name in MATHS if any(f" {maths_name(name)} " in text for text in functions)),
-        driver(_deepest(methods.values()), tables, catches=not prepared.program.has_limits),
+        driver(_deepest(methods), tables, catches=not prepared.program.has_limits),
         ")",
     ]
     text = "\n".join(line for line in lines if line) + "\n"
@@ -100,10 +99,9 @@ def _functions(methods: dict[int, Method], left: dict[int, str]) -> list[str]:
     return _functions(methods, left)
 
 
-def _deepest(methods: Iterable[Method]) -> int:
+def _deepest(methods: dict[int, Method]) -> int:
     """How many calls fit WebAssembly's own stack; deeper ones begin a new one from the driver."""
-    slots = max((m.slots.stacked for m in methods), default=1)
-    return STACK // 2 // (256 + 24 * slots)
+    return deepest({i: m.stack for i, m in methods.items()}, {i: m.calls for i, m in methods.items()})
 
 
 def _strings(data: bytes) -> str:

@@ -44,8 +44,8 @@ class Locals:
         self.parameters = [f"(param $s{i} {t})" for i, t in enumerate(types[:parameters])]
         self.nothing = [f"({t}.const 0)" for t in types[:parameters]]
         self.locals = [f"(local $s{i} {t})" for i, t in enumerate(types[parameters:], parameters)]
-        #: How many there are on WebAssembly's own stack.
-        self.stacked = len(types)
+        #: How many are on WebAssembly's own stack.
+        self.stacked: int | None = len(types)
         #: At the beginning, and where the method is left.
         self.entered = [
             "(local.set $left (global.get $left))",
@@ -106,7 +106,7 @@ class Framed:
         self.parameters: list[str] = []
         self.nothing: list[str] = []
         self.locals = ["(local $to_i64 i64) (local $to_f64 f64)"]
-        self.stacked = 0
+        self.stacked: int | None = None
         rest = 8 * (len(types) - parameters)
         behind = f"(i32.add (local.get $frame) (i32.const {_at(parameters)}))"
         self.entered = [
