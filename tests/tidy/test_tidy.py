@@ -36,7 +36,6 @@ SMALL = {
     "lfield/capability/ways.py": "names that compiler and machine share",
     "lfield/clock.py": "a word that everybody speaks",
     "lfield/devices/measuring.py": "what is done for lateness to decide",
-    "lfield/operator/web/answers.py": "answers as the page reads them",
     "lfield/operator/web/page.py": "the one page, of the one component",
     "lfield/driver/settings.py": "a value that drivers and hosts share",
     "lfield/operator/sight/following/beside.py": "what fails beside a body of code",
