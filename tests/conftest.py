@@ -153,7 +153,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 def pytest_collection() -> Iterator[None]:
     """What is collected stays until the end: Python's collector looks at it neither now nor in any test.
 
-    And at what is new it looks less often: it was a tenth of what stories on virtual time took.
+    And at what is new it looks less often.
     """
     gc.disable()
     try:

@@ -495,3 +495,16 @@ def test_what_would_load_the_page_anew_is_off(browser, page_of):
     place = browser.text("place-lead")
     browser.wait(lambda: browser.text("place-lead") != place)
     assert not browser.driver.execute_script("return window.socket.active")
+
+
+REDRAWN = """data:text/html,<p data-testid=state>here</p><script>
+    setInterval(() => { document.body.innerHTML = '<p data-testid=state class=new>here</p>' }, 30)
+</script>"""
+
+
+def test_what_a_page_draws_anew_all_the_time_is_read(browser):
+    """The helpers of these tests themselves."""
+    browser.driver.get(REDRAWN)
+    browser.wait(lambda: browser.thing("state").get_attribute("class"))
+    told = {(browser.text("state"), browser.thing("state").get_attribute("class")) for _ in range(10)}
+    assert told == {("here", "new")}
