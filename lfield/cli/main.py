@@ -13,6 +13,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any, NoReturn, Protocol
 
 from lfield import __version__, exits
+from lfield.cli.of_the_system import of_the_system
 from lfield.errors import BindingError, LfieldError, ProgramError, UsageError
 from lfield.text.outlet import silence
 from lfield.text.visible import ESCAPES, as_text, continued, visible
@@ -139,8 +140,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         return exits.INPUT_OUTPUT
     except OSError as error:
         _let_out()
-        _tell(f"lfield: {error.strerror or error}" + (f": {error.filename}" if error.filename else ""))
-        return exits.INPUT_OUTPUT
+        status, told = of_the_system(error)
+        _tell(f"lfield: {told}")
+        return status
     except Exception as error:
         if os.environ.get("LFIELD_TRACEBACK"):
             raise

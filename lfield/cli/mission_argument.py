@@ -22,7 +22,22 @@ def add_mission(parser: argparse.ArgumentParser, *, required: bool = True) -> No
     what = "a deployment (.dL) or bundle (.lfm)" + ("" if required else "; without one, all that run here")
     # Positional arguments stand first in the help.
     named.add_argument("mission", metavar="MISSION", nargs="?", type=Path, help=what)
-    named.add_argument("--deploy", metavar="MISSION", type=Path, help="the same, as an option")
+    named.add_argument("--deploy", metavar="MISSION", type=Path, action=_Once, help="the same, as an option")
+
+
+class _Once(argparse.Action):
+    """Of two missions the first would be forgotten silently."""
+
+    def __call__(
+        self,
+        parser: argparse.ArgumentParser,
+        namespace: argparse.Namespace,
+        values: object,
+        option: object = None,
+    ) -> None:
+        if getattr(namespace, self.dest) is not None:
+            parser.error("--deploy names one mission, and stands here twice")
+        setattr(namespace, self.dest, values)
 
 
 def add_running_mission(parser: argparse.ArgumentParser) -> None:

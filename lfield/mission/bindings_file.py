@@ -78,6 +78,7 @@ from lfield.mission.reading.devices import DevicesReader
 from lfield.mission.reading.frames import frames_of, read_hosts, read_origin, read_pose
 from lfield.text.source import Diagnostics
 from lfield.text.suggest import did_you_mean
+from lfield.text.visible import clipped
 from lfield.text.yaml_fields import Fields
 from lfield.text.yaml_source import Entry, Listing, Node, Scalar, describe, read
 from lfield.vm.contract import MAX_TIDY, Limits
@@ -85,6 +86,9 @@ from lfield.vm.wasm.choice import CHOICES
 
 _UNITS = {"B": 1, "KiB": 1 << 10, "MiB": 1 << 20, "GiB": 1 << 30}
 _SIZE = re.compile(r"([0-9]{1,12})\s*(B|KiB|MiB|GiB)")
+
+#: Of a large team not all are named, in characters.
+_LONGEST_HINT = 400
 
 
 def read_bindings(
@@ -227,7 +231,7 @@ class BindingsReader:
         stated: dict[str, dict[str, Stated]] = {}
         for entry, fields in entries:
             if entry.key not in self._needed:
-                hint = f"its agents: {', '.join(sorted(self._needed)) or 'none'}"
+                hint = f"its agents: {clipped(', '.join(sorted(self._needed)) or 'none', _LONGEST_HINT)}"
                 fields.report("Y113", f"the deployment has no agent '{entry.key}'", entry.key_span, hint)
                 continue
             agents[entry.key] = self._limits(fields, defaults)

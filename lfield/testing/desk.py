@@ -205,6 +205,8 @@ class Desk:
 @contextmanager
 def _beside_the_story() -> Iterator[None]:
     """What is done meanwhile is done by nobody on the desk: no loop runs that could be taken for its own."""
+    # asyncio has no public way to leave a loop for a moment; `run_until_complete` of another loop would be
+    # refused by the same mark. Both functions are there for those who write event loops, as we do.
     running = asyncio._get_running_loop()
     asyncio._set_running_loop(None)
     try:

@@ -54,6 +54,7 @@ def refused(here):
         ([], "the following arguments are required: COMMAND"),
         (["fly"], "invalid choice: 'fly'"),
         (["up"], "one of the arguments MISSION --deploy is required"),
+        (["ps", "--deploy", "mission.dL", "--deploy", "b.dL"], "--deploy names one mission"),
         (["up", "--deploy", "mission.dL", "--wings"], "unrecognized arguments: --wings"),
         (["up", "--deploy", "mission.dL", "--all", "--host", "alpha"], "not allowed with argument"),
         (["up", "--deploy", "mission.dL", "--lost-after", "soon"], "--lost-after"),
