@@ -11,8 +11,8 @@ from lfield.mission.load import load_program
 from lfield.testing.engines import NEEDED
 from lfield.testing.golden import compile_text
 from lfield.vm.reference.prepare import prepare
-from lfield.vm.wasm.lower import module as lowering
 from lfield.vm.wasm.listing import listing
+from lfield.vm.wasm.lower import module as lowering
 
 wasmtime = pytest.importorskip("wasmtime", reason=NEEDED)
 
