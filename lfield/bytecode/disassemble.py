@@ -47,6 +47,13 @@ def disassemble(program: Program) -> str:
     return "\n".join(map(_shown, lines)) + "\n"
 
 
+def instructions(program: Program, method: int) -> dict[int, tuple[str, str]]:
+    """Each instruction of a method as it is listed, by number, behind its line of L ('' if unknown)."""
+    texts = [source.text.split("\n") for source in program.debug.sources]
+    found = _MethodListing(program, method, texts).instructions()
+    return {pc: (_shown(line), _shown(text)) for pc, line, text in found}
+
+
 def _shown(line: str) -> str:
     """A line without characters that a terminal would obey: a listed program may come from anywhere."""
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in line)
@@ -125,8 +132,20 @@ class _MethodListing:
         for pc, quad in enumerate(self._quads, self._method.entry):
             if pc in starts:
                 yield self._source_line(starts[pc])
-            label = f"L{pc}" if pc in self._labels else str(pc)
-            yield f"{label:>6}  {self._instruction(quad)}"
+            yield self._numbered(pc, quad)
+
+    def instructions(self) -> Iterator[tuple[int, str, str]]:
+        """The number of each, the line of L that it is of, and itself."""
+        starts = dict(self._info.lines) if self._info else {}
+        line = ""
+        for pc, quad in enumerate(self._quads, self._method.entry):
+            if pc in starts:
+                line = self._source_line(starts[pc])
+            yield pc, line, self._numbered(pc, quad)
+
+    def _numbered(self, pc: int, quad: Quad) -> str:
+        label = f"L{pc}" if pc in self._labels else str(pc)
+        return f"{label:>6}  {self._instruction(quad)}"
 
     def _source_line(self, line: int) -> str:
         assert self._info is not None

@@ -1,6 +1,6 @@
 """`lfield disasm FILE`: lists a program: of a program file, of L text, of a deployment or bundle.
 
-With `--wasm` it is what the engine in WebAssembly is given.
+With `--wasm` it is what the engine in WebAssembly is given, set in, with the instructions above their text.
 """
 
 from __future__ import annotations
@@ -17,7 +17,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=Path,
         help="a program file, L text, a deployment or a bundle",
     )
-    parser.add_argument("--wasm", action="store_true", help="as WebAssembly text, just as it is run")
+    parser.add_argument(
+        "--wasm", action="store_true", help="as WebAssembly text, with the instructions as comments"
+    )
 
 
 def run(args: argparse.Namespace) -> int:
@@ -27,10 +29,9 @@ def run(args: argparse.Namespace) -> int:
 
     program = load_program(args.file)
     if args.wasm:
-        from lfield.vm.reference.prepare import prepare
-        from lfield.vm.wasm.lower.module import module
+        from lfield.vm.wasm.listing import listing
 
-        print(module(prepare(program)).text, end="")
+        print(listing(program), end="")
     else:
         print(disassemble(program), end="")
     return 0

@@ -97,6 +97,14 @@ class Run:
         return len(self.work) + (isinstance(self.end, (Branch, Call, Return, Throw)) or self._jumps)
 
     @property
+    def last(self) -> tuple[int, int]:
+        """The instruction that ends it, and what is behind: the same where it only goes on."""
+        if isinstance(self.end, (Call, Return, Throw, Leave)):
+            return self.end.what.pc, self.end.what.after
+        pc = self.work[-1].after if self.work else self.pc
+        return pc, pc + (not self.falls)
+
+    @property
     def _jumps(self) -> bool:
         return isinstance(self.end, Jump) and not self.falls
 

@@ -10,7 +10,7 @@ written by the caller.
 from __future__ import annotations
 
 import struct
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from lfield.bytecode.program import REAL, VOID
@@ -38,6 +38,9 @@ from lfield.vm.wasm.stack import most_bytes
 #: its budget does not suffice for what comes next; the thread's first method has returned; it has thrown
 #: an object, or what the machine itself throws.
 RETURNED, STEP, SHORT, DONE, THROWN, TRAPPED = range(6)
+#: Comments by instruction: for people only, a host's text has none.
+Notes = Mapping[int, Sequence[str]]
+NO_NOTES: Notes = {}
 #: Longer things are copied from the module; shorter ones are made word by word up to here.
 _UNROLLED = 12
 
@@ -45,8 +48,8 @@ _UNROLLED = 12
 class Method:
     """The text of one method's function, and the numbers of its points."""
 
-    def __init__(self, prepared: Prepared, index: int, traps: Traps) -> None:
-        self.index, self._traps = index, traps
+    def __init__(self, prepared: Prepared, index: int, traps: Traps, notes: Notes) -> None:
+        self.index, self._traps, self._notes = index, traps, notes
         #: The methods that have functions that can be called; those that are too tangled have none.
         self.others: Mapping[int, Method] = {}
         self._prepared = prepared
@@ -90,7 +93,7 @@ class Method:
     def _head(self) -> list[str]:
         slots = self.slots
         return [
-            f";; {self._method.name}",
+            f";; {self._prepared.program.method_name(self.index)}",
             f"(func $m{self.index} (param $frame i32) (param $resume i32) {' '.join(slots.parameters)}",
             f"(result {self.result} i32)",
             " ".join(slots.locals),
@@ -165,8 +168,11 @@ class Method:
                 *self._leave(f"(i64.lt_s ({scope}.get $left) (i64.const 0))", run.pc, cost, SHORT),
             ]
         for done, i in enumerate(run.work):
-            lines += self._lowered(i, cost - done)
-        return [*lines, *self._end(run, go)]
+            lines += [*self._noted(i.pc, i.after), *self._lowered(i, cost - done)]
+        return [*lines, *self._noted(*run.last), *self._end(run, go)]
+
+    def _noted(self, pc: int, after: int) -> list[str]:
+        return [line for number in range(pc, after) for line in self._notes.get(number, ())]
 
     def _end(self, run: Run, go: Go) -> list[Item]:
         first = self._routes.first

@@ -8,7 +8,7 @@ from lfield.bytecode.program import Program
 from lfield.vm.reference.prepare import Prepared
 from lfield.vm.wasm.lower.driver import GLOBALS, driver
 from lfield.vm.wasm.lower.maths import maths_name, maths_text
-from lfield.vm.wasm.lower.method import Method
+from lfield.vm.wasm.lower.method import NO_NOTES, Method, Notes
 from lfield.vm.wasm.lower.routes import Irreducible
 from lfield.vm.wasm.lower.slots import GONE
 from lfield.vm.wasm.lower.table import MATHS, RUNTIME
@@ -31,12 +31,12 @@ class Module:
     left: dict[str, str]
 
 
-def module(prepared: Prepared) -> Module:
-    """The module of a program."""
+def module(prepared: Prepared, notes: Notes = NO_NOTES) -> Module:
+    """The module of a program; above the text of instructions stand notes, by number."""
     traps = Traps(prepared)
     count = len(prepared.program.core.methods)
     left: dict[int, str] = {}
-    methods = _methods(prepared, traps, left)
+    methods = _methods(prepared, traps, left, notes)
     functions = _functions(methods, left)
     points = {pc: number for m in methods.values() for pc, number in m.points.items()}
     tables = Tables(prepared.program, TABLES)
@@ -74,12 +74,12 @@ def low_bytes(program: Program) -> int:
     return Tables(program, TABLES).end
 
 
-def _methods(prepared: Prepared, traps: Traps, left: dict[int, str]) -> dict[int, Method]:
+def _methods(prepared: Prepared, traps: Traps, left: dict[int, str], notes: Notes) -> dict[int, Method]:
     """The methods that can be lowered, by number; the others are `left`."""
     methods = {}
     for index in range(len(prepared.program.core.methods)):
         try:
-            methods[index] = Method(prepared, index, traps)
+            methods[index] = Method(prepared, index, traps, notes)
         except Irreducible:
             left[index] = "control enters a loop of it at two places, which WebAssembly has not"
     return methods

@@ -1,0 +1,79 @@
+"""`lfield disasm --wasm`: the very module that is run, with the instructions and the lines of L in it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from lfield.bytecode.disassemble import disassemble
+from lfield.mission.load import load_program
+from lfield.testing.engines import NEEDED
+from lfield.testing.golden import compile_text
+from lfield.vm.reference.prepare import prepare
+from lfield.vm.wasm.listing import listing
+from lfield.vm.wasm.lower import module as lowering
+
+wasmtime = pytest.importorskip("wasmtime", reason=NEEDED)
+
+EXAMPLES = Path(__file__).parents[3] / "examples"
+PROGRAM = compile_text(
+    """
+    resource R {
+      init(string[] arg) {
+        int sum = 0;
+        for (int i = 0; i < 3; i = i + 1) {
+          sum = sum + twice(i);
+        }
+        print(";; (" + i2s(sum)); // \x1b[31m \u202e ;; end
+      }
+      private int twice(int n) { return 2 * n; }
+    }
+    """
+)
+
+
+@pytest.mark.parametrize("name", ["02-equivalent-lift", "05-two-carry-one", "15-tuple-space"])
+def test_what_is_listed_is_what_is_run(name: str) -> None:
+    (path,) = (EXAMPLES / name).glob("*.dL")
+    program = load_program(path)
+    assert wasmtime.wat2wasm(listing(program)) == wasmtime.wat2wasm(lowering.module(prepare(program)).text)
+
+
+def test_every_instruction_that_is_done_stands_above_its_text() -> None:
+    wasm = [line.strip() for line in listing(PROGRAM).splitlines()]
+    wanted = [line.strip() for line in disassemble(PROGRAM).splitlines() if " ^" in line and ", " in line]
+    assert len(wanted) > 10
+    assert [line for line in wanted if not any(w.endswith(line) for w in wasm if w.startswith(";;"))] == []
+    at = next(i for i, line in enumerate(wasm) if line.endswith("sum = sum + twice(i);"))
+    assert wasm[at].startswith(";; golden.L:6  ")
+    assert "push" in wasm[at + 1]
+    assert ";; R.init" in wasm
+    assert wasmtime.wat2wasm(listing(PROGRAM)) == wasmtime.wat2wasm(lowering.module(prepare(PROGRAM)).text)
+
+
+def test_what_a_terminal_would_obey_is_no_part_of_it() -> None:
+    assert all(line.isprintable() for line in listing(PROGRAM).splitlines())
+
+
+def test_nested_lines_are_set_in() -> None:
+    lines = listing(PROGRAM).splitlines()
+    at = next(i for i, line in enumerate(lines) if line.strip().startswith("loop $l-"))
+    depth = len(lines[at]) - len(lines[at].lstrip())
+    inside = next(i for i in range(at, len(lines)) if lines[i] == f"{' ' * depth}end")
+    assert inside > at + 5
+    assert all(line.startswith(" " * depth + "  ") for line in lines[at + 1 : inside])
+    assert (lines[0], lines[-1]) == ("(module $program", ")")
+
+
+def test_methods_that_are_left_out_are_told_with_why(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(lowering, "LONGEST", 2500)
+    shown = listing(PROGRAM)
+    why = "its code is too long for WebAssembly"
+    assert f"  ;; R.init is left to the reference engine: {why}\n" in shown
+    assert ";; R.twice is left" not in shown
+    wasmtime.wat2wasm(shown)
+
+
+def test_a_host_pays_for_no_comments() -> None:
+    assert ";; golden.L" not in lowering.module(prepare(PROGRAM)).text
