@@ -17,7 +17,7 @@ from lfield import exits
 from lfield.driver.binding import DeviceBinding
 from lfield.errors import LfieldError, PluginError
 from lfield.text.outlet import never_waiting
-from lfield.text.own_place import own_place, own_places
+from lfield.text.own_folders import own_place, own_places
 
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint

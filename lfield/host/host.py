@@ -29,7 +29,7 @@ from lfield.errors import AddressError, DeviceError, HostFailure
 from lfield.host.core import HostCore
 from lfield.host.dumping import dump_agent
 from lfield.host.effects import Call, CancelCall, Complain, Died, Effect, Keep, MakeSafe, Reach, Say, Write
-from lfield.host.engines.engines import engines_for
+from lfield.host.engines import engines_for
 from lfield.host.logbook import Logbook
 from lfield.host.scribe import Scribe
 from lfield.host.sight.teller import Teller

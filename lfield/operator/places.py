@@ -5,8 +5,8 @@
     $XDG_RUNTIME_DIR/lfield a user's
     TMPDIR/lfield-UID       a user's who has no runtime folder
 
-In a temporary folder `lfield-UID` may be followed by an end that nobody knows before (`text.own_place`). Who
-looks takes each folder in its owner's name only.
+In a temporary folder `lfield-UID` may be followed by an end that nobody knows before (`text.own_folders`).
+Who looks takes each folder in its owner's name only.
 
 Who looks may have another environment than who began (sudo, su, cron): all folders are looked into that the
 user's runs can be in without anybody having named another; root looks into those of all users, and members of
@@ -24,7 +24,7 @@ from stat import S_IRGRP
 from typing import NamedTuple
 
 from lfield.net.door import ROOT, sharing
-from lfield.text.own_place import new_in, of_users, runtime_folder
+from lfield.text.own_folders import new_in, of_users, runtime_folder
 from lfield.text.private import private_opened, temporary_folder
 
 #: Where the unit of deploy/ has its runs.

@@ -1,17 +1,37 @@
-"""Where a user's own folders are: where the environment says, else in the user's home.
+"""Where a user's own folders are.
 
-What is no absolute path is not taken: the folder would be another one wherever a command is called.
+What outlives its processes is where the environment says, else in the user's home. What is no absolute path
+is not taken: the folder would be another one wherever a command is called.
+
+What lasts as long as its processes:
+
+    $XDG_RUNTIME_DIR        if it is the user's and nobody else may change it
+    TMPDIR/lfield-UID       else
+
+In a temporary folder anybody can make `lfield-UID` first. Whoever needs one makes one then with an end to its
+name that nobody knows before, `lfield-UID-0a1b2c3d`, and none where others could remove it. So nobody can
+take the place away from anybody; who looks for something there looks into all of a user's.
 """
 
 from __future__ import annotations
 
 import os
 import pwd
-from collections.abc import Mapping
+import re
+import secrets
+from collections import defaultdict
+from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from pathlib import Path
 
-from lfield.errors import NoHome
+from lfield.errors import NoHome, OutputFileError
+from lfield.text.private import keeps, private_folder, private_opened, temporary_folder
+
+#: A folder of a user in a temporary one.
+_OF_USER = re.compile(r"lfield-(0|[1-9]\d{0,9})(-[0-9a-f]{8})?", re.ASCII)
+
+
+# --- what outlives its processes ----------------------------------------------------------------------------
 
 
 def own_folder(variable: str, place: str, environment: Mapping[str, str] = os.environ) -> Path:
@@ -40,3 +60,93 @@ def _home(environment: Mapping[str, str]) -> str:
     with suppress(KeyError):
         return pwd.getpwuid(os.geteuid()).pw_dir
     return ""
+
+
+# --- what lasts as long as they do --------------------------------------------------------------------------
+
+
+def runtime_folder() -> Path | None:
+    """The runtime folder of this user, if there is one that nobody else may change."""
+    runtime = os.environ.get("XDG_RUNTIME_DIR", "")
+    with suppress(OSError):
+        # After `su` it may still be another user's.
+        if runtime and os.stat(runtime).st_uid == os.geteuid() and keeps(Path(runtime)):
+            return Path(runtime)
+    return None
+
+
+def new_in(shared: Path) -> Iterator[Path]:
+    """Folders of this user in a temporary one, of which nobody can take the last one beforehand."""
+    if not keeps(shared):
+        return
+    usual = _usual(shared)
+    yield usual
+    # Where this user may not list what is there, commands would not find what has another name.
+    with suppress(OSError):
+        yield from _unusual(shared)
+        yield usual.with_name(f"{usual.name}-{secrets.token_hex(4)}")
+
+
+def of_users(shared: Path) -> dict[int, list[Path]]:
+    """The folders in a temporary one that are named after their owners, by them. Raises OSError."""
+    with os.scandir(shared) as entries:
+        names = sorted(entry.name for entry in entries if entry.name.startswith("lfield-"))
+    found: dict[int, list[Path]] = defaultdict(list)
+    for name in names:
+        if named := _OF_USER.fullmatch(name):
+            with suppress(OSError):
+                # No path is made of it before: somebody may have put thousands there.
+                owner = os.lstat(f"{shared}/{name}").st_uid
+                if owner == int(named[1]):
+                    found[owner].append(shared / name)
+    return found
+
+
+def own_place(name: str) -> Path:
+    """A folder of that name of this user alone, made on demand.
+
+    Raises OutputFileError when none can be had that others cannot write to, or take away.
+    """
+    first: OutputFileError | None = None
+    for folder in _own():
+        try:
+            return private_folder(private_folder(folder) / name)
+        except OutputFileError as error:
+            first = first or error
+    raise first or OutputFileError(str(temporary_folder()), "others could remove what is in it")
+
+
+def own_places(name: str) -> list[Path]:
+    """The folders of that name that `own_place` may have given, of those that nobody else can write to."""
+    places = [folder / name for folder in _had()]
+    return [place for place in places if _is_private(place.parent) and _is_private(place)]
+
+
+def _had() -> Iterator[Path]:
+    runtime, shared = runtime_folder(), temporary_folder()
+    if runtime is not None:
+        yield runtime
+        return
+    yield _usual(shared)
+    with suppress(OSError):
+        yield from _unusual(shared)
+
+
+def _usual(shared: Path) -> Path:
+    return shared / f"lfield-{os.geteuid()}"
+
+
+def _unusual(shared: Path) -> list[Path]:
+    """This user's that are there under another name. Raises OSError."""
+    return [path for path in of_users(shared).get(os.geteuid(), ()) if path != _usual(shared)]
+
+
+def _is_private(place: Path) -> bool:
+    with suppress(OSError), private_opened(place):
+        return True
+    return False
+
+
+def _own() -> Iterator[Path]:
+    runtime = runtime_folder()
+    return iter((runtime,)) if runtime is not None else new_in(temporary_folder())

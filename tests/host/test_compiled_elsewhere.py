@@ -12,9 +12,8 @@ from pathlib import Path
 import pytest
 
 from lfield.errors import NoEngine, UsageError
-from lfield.host.engines import machine_code
-from lfield.host.engines.engines import engines_for
-from lfield.host.engines.machine_code import compiled
+from lfield.host import engines
+from lfield.host.engines import compiled, engines_for
 from lfield.testing.engines import NEEDED
 from lfield.testing.golden import compile_text
 from lfield.vm.reference import Engine as Reference
@@ -154,7 +153,7 @@ time.sleep(600)
 
 def test_it_ends_with_its_host() -> None:
     """However that ends. Its input stays open, so it is not that which tells it."""
-    command = [sys.executable, "-c", _HOST, machine_code._COMPILER]
+    command = [sys.executable, "-c", _HOST, engines._COMPILER]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as host:
         assert host.stdout is not None
         while not Path(f"/proc/{host.pid}/task/{host.pid}/children").read_text():

@@ -8,7 +8,7 @@ import tempfile
 import pytest
 
 from lfield.errors import OutputFileError
-from lfield.text.own_place import own_place, own_places
+from lfield.text.own_folders import own_place, own_places
 
 _root = pytest.mark.skipif(os.geteuid() != 0, reason="only root can make what belongs to a stranger")
 _STRANGER = 54321

@@ -15,8 +15,7 @@ from typing import Any
 import wasmtime
 
 from lfield.vm.memory.space import SEPARATE, Buffer
-from lfield.vm.wasm.compiling import compiler
-from lfield.vm.wasm.sizes import PAGE, WHOLE
+from lfield.vm.wasm.compiling import PAGE, WHOLE, compiler
 
 #: What is tried, one after another, where addresses are limited (`ulimit -v`).
 RESERVATIONS = (WHOLE, 1 << 30, 1 << 28, 1 << 26, 1 << 24)

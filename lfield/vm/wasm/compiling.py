@@ -14,8 +14,11 @@ from functools import cache
 
 import wasmtime
 
-from lfield.vm.wasm.sizes import PAGE, STACK, WHOLE
+from lfield.vm.wasm.stack import STACK
 
+PAGE = 1 << 16
+#: The most a memory can have. With so many addresses reserved, code needs no checks that it stays within.
+WHOLE = 1 << 32
 #: The version of wasmtime that pyproject.toml asks for.
 VERSION = 50
 #: Of prctl: which signal this process gets when its parent ends.

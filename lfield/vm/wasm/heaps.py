@@ -15,9 +15,9 @@ from lfield.vm.reference.prepare import Prepared
 from lfield.vm.wasm.arena import Arena, size_class
 from lfield.vm.wasm.calls import unsigned
 from lfield.vm.wasm.code import Cache, runtime_of
+from lfield.vm.wasm.compiling import PAGE
 from lfield.vm.wasm.runtime.functions import Functions
 from lfield.vm.wasm.runtime.tables import layout_tables, shape_tables, stance_tables
-from lfield.vm.wasm.sizes import PAGE
 
 #: The most references that are copied at once: more than any call has arguments.
 MOST_ROOTS = 64

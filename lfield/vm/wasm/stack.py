@@ -17,12 +17,10 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Mapping
 
-from lfield.vm.wasm.sizes import STACK
-
 #: No way through a method goes over more instructions without a point.
 STRETCH = 32
-#: What the driver, the runtime and the maths take of WebAssembly's own stack, in bytes.
-OTHERS = 1 << 16
+#: The size of WebAssembly's own stack, and what the driver, the runtime and the maths take of it, in bytes.
+STACK, OTHERS = 1 << 20, 1 << 16
 #: What a function takes at most: by itself, for each local, for what each instruction gives, and for each
 #: argument that it passes on; in bytes.
 ITSELF, LOCAL, VALUES, ARGUMENT = 256, 24, 32, 32

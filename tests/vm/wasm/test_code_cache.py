@@ -15,9 +15,8 @@ from pathlib import Path
 import pytest
 
 from lfield.errors import UsageError
-from lfield.host.engines import engines as engines_module
-from lfield.host.engines.engines import engines_for
-from lfield.host.engines.machine_code import KEPT, UserCache, code_folder
+from lfield.host import engines as engines_module
+from lfield.host.engines import KEPT, UserCache, code_folder, engines_for
 from lfield.operator.doctor import engine
 from lfield.testing.engines import NEEDED
 from lfield.testing.golden import compile_text
@@ -196,7 +195,7 @@ def test_where_wasmtime_cannot_be_used_the_log_says_why(monkeypatch: pytest.Monk
 _ELSEWHERE = """
 import platform, sys
 platform.machine = lambda: sys.argv[1]
-from lfield.host.engines.engines import engines_for
+from lfield.host.engines import engines_for
 from lfield.testing.golden import compile_text
 program = compile_text("resource R { init(string[] arg) { } }")
 print(engines_for("auto", print)(program, float).__class__.__module__)

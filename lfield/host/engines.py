@@ -1,4 +1,5 @@
-"""The machine code of a host's program: kept in files of its user, and compiled by a process of its own.
+"""Which engine a host runs its program on, and its machine code: kept in files of its user, and compiled by a
+process of its own.
 
 Whatever compiling needs is given back when that process ends, and what it dies of (a limit of addresses, no
 memory) leaves the host as it was. Only what that very process has written into its pipe is believed.
@@ -13,10 +14,15 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from itertools import accumulate, pairwise
 from pathlib import Path
+from typing import cast
 
-from lfield.errors import NoEngine, NoHome, OutputFileError
+from lfield.bytecode.program import Program
+from lfield.errors import NoEngine, NoHome, OutputFileError, UsageError
 from lfield.text.own_folders import cache_folder
 from lfield.text.private import read_private, write_private
+from lfield.vm.contract import Engine, Engines
+from lfield.vm.reference import Engine as Reference
+from lfield.vm.wasm.choice import MISSING, has_wasm, wasm_engine
 
 #: Larger than the code of any program.
 _MOST = 256 << 20
@@ -27,6 +33,29 @@ PATIENCE = 120.0
 _COMPILER = "lfield.vm.wasm.compiling"
 
 Note = Callable[[str], None]
+
+
+def engines_for(choice: str, note: Note) -> Engines:
+    """What makes a machine's engine, of `lfield.vm.wasm.choice`; `note` takes lines for the log.
+
+    Raises UsageError where what was asked for cannot be had.
+    """
+    if choice == "wasm" and not has_wasm():
+        raise UsageError(MISSING)
+    if choice == "reference" or not has_wasm():
+        return Reference
+
+    def make(program: Program, now: Callable[[], float]) -> Engine:
+        try:
+            with wasm_engine() as wasm:
+                return cast(Engine, wasm.Engine(program, now, UserCache(code_folder(), note), note))
+        except NoEngine as unusable:
+            if choice == "wasm":
+                raise UsageError(str(unusable)) from None
+            note(f"the reference engine runs the program: {unusable}")
+            return Reference(program, now)
+
+    return make
 
 
 def code_folder() -> Path | None:
