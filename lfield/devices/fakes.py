@@ -64,7 +64,7 @@ async def start_fake(sims: Sims, bus: Sequence[DeviceBinding]) -> Fake:
         raise PluginError(f"{names}: there is no fake for driver '{driver}' (fakes installed: {known})")
     reference, options = sims.references[sim.name], [*sim.arguments(bus), *conditions(bus)]
     process = await asyncio.create_subprocess_exec(
-        *(sys.executable, "-m", "lfield.driver.sims", reference, *options, "--until-stdin-closes"),
+        *(sys.executable, "-P", "-m", "lfield.driver.sims", reference, *options, "--until-stdin-closes"),
         stdin=asyncio.subprocess.PIPE,
         stdout=asyncio.subprocess.PIPE,
         stderr=asyncio.subprocess.PIPE,

@@ -104,7 +104,7 @@ class Guard(asyncio.SubprocessProtocol):
         self._opening = asyncio.get_running_loop().create_future()
         self._exited, self._reader = asyncio.Event(), MessageReader()
         try:
-            await start_process(self, sys.executable, "-m", "lfield.guard.process", self._driver.reference)
+            await start_process(self, sys.executable, "-P", "-m", "lfield.guard.process", self._driver.reference)
         except OSError as error:
             raise DevicesError([f"the driver's process does not start: {error.strerror or error}"]) from None
         devices, taken = list(self._devices.values()), sorted(self.snapshots.taken)

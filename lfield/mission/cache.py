@@ -133,7 +133,7 @@ def _build(order: Order, workshop: Path) -> Path:
     """Build in a process of its own; the bundle, beside it `inputs`."""
     made = workshop / f"mission{bundle.SUFFIX}"
     options = ["-o", str(made), "--inputs", str(workshop / "inputs")]
-    command = [sys.executable, "-m", "lfield", "build", *order.words, *options]
+    command = [sys.executable, "-P", "-m", "lfield", "build", *order.words, *options]
     status = subprocess.run(command, stdin=subprocess.DEVNULL, check=False).returncode
     if status:
         raise NotBuilt(status if status > 0 else exits.SOFTWARE)

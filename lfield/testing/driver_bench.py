@@ -193,7 +193,7 @@ class RunningFake:
 @contextmanager
 def running_fake(driver: str, *options: str) -> Iterator[RunningFake]:
     """The installed fake of a driver, with options of `lfield sim DRIVER`; it ends with the block."""
-    command = (sys.executable, "-m", "lfield.driver.sims", discover_sims().references[driver])
+    command = (sys.executable, "-P", "-m", "lfield.driver.sims", discover_sims().references[driver])
     with tempfile.TemporaryFile("w+", errors="replace") as errors:
         process = subprocess.Popen(
             [*command, *options, "--until-stdin-closes"],

@@ -151,7 +151,7 @@ class _Team:
 
     def command(self, host: str, listening: int, keys: int) -> list[str]:
         args = self.args
-        words = [sys.executable, "-m", "lfield", "up", str(self.file), f"--host={host}", "--leash"]
+        words = [sys.executable, "-P", "-m", "lfield", "up", str(self.file), f"--host={host}", "--leash"]
         # One word each: what begins with a dash would be taken for another option.
         words += ["--listen-fd", str(listening), "--keys-fd", str(keys)]
         words += ["--engine", args.engine] if args.engine else []

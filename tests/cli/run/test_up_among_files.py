@@ -1,0 +1,26 @@
+"""A mission in a folder with Python files of a user's own: none of them is taken for a module of ours."""
+
+from __future__ import annotations
+
+import pytest
+
+pytestmark = pytest.mark.process
+
+PROGRAM = """
+include <mavlink/copter.L>;
+coordinator Pilot {
+    init(string[] arg) { print("battery: " + f2s(findCopter(arg[1]).battery())); }
+}
+"""
+
+
+def test_what_lies_beside_a_mission_is_no_module_of_its_processes(here, lfield):
+    """Neither of the hosts, nor of their guards, fakes and compilers, nor of what builds the bundle."""
+    deployment = lfield.mission(PROGRAM, "//Copter:lead@alpha\n//Pilot:pilot@alpha?lead\n")
+    for module in ("random", "heapq", "ctypes", "wasmtime", "uvloop", "pymavlink"):
+        lfield.write(
+            f"{module}.py", "raise SystemExit(f'{__name__} was loaded from the folder of the mission')"
+        )
+    said = here("up", "--deploy", deployment, "--all", "--sim", "--until-done")
+    assert said.status == 0, said
+    assert "battery: " in "\n".join((*said.out, *said.err)), said
