@@ -103,8 +103,9 @@ class Guard(asyncio.SubprocessProtocol):
         """Start the process and open the devices. Raises DevicesError with all that is wrong."""
         self._opening = asyncio.get_running_loop().create_future()
         self._exited, self._reader = asyncio.Event(), MessageReader()
+        guard = (sys.executable, "-P", "-m", "lfield.guard.process", self._driver.reference)
         try:
-            await start_process(self, sys.executable, "-P", "-m", "lfield.guard.process", self._driver.reference)
+            await start_process(self, *guard)
         except OSError as error:
             raise DevicesError([f"the driver's process does not start: {error.strerror or error}"]) from None
         devices, taken = list(self._devices.values()), sorted(self.snapshots.taken)
