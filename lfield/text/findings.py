@@ -44,3 +44,13 @@ class Table(dict[str, Message]):
         severity = "warning" if code.startswith(self._warnings) else "error"
         self[code] = Message(code, sentence, hint, severity)
         return self[code]
+
+
+def tally(errors: int, warnings: int) -> str:
+    """How many there are: "no mistakes", "1 error", "2 errors, 1 warning"."""
+    counts = [
+        f"{count} {word}{'s' * (count != 1)}"
+        for count, word in ((errors, "error"), (warnings, "warning"))
+        if count
+    ]
+    return ", ".join(counts if errors else ["no mistakes", *counts])

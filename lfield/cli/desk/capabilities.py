@@ -121,6 +121,7 @@ def _unknown(registry: Registry, name: str) -> UsageError:
 
 def _check(args: argparse.Namespace) -> int:
     from lfield.mission.registry_check import check_registry
+    from lfield.text.findings import tally
 
     if args.alone and not args.files:
         raise UsageError("--alone is for files of your own: name them")
@@ -129,7 +130,7 @@ def _check(args: argparse.Namespace) -> int:
         print(finding.render(), file=sys.stderr)
     errors, warnings = (sum(d.severity == kind for d in found) for kind in ("error", "warning"))
     if errors:
-        print(f"lfield: {errors} error(s), {warnings} warning(s)", file=sys.stderr)
+        print(f"lfield: {tally(errors, warnings)}", file=sys.stderr)
         return exits.DATA
-    print(f"no mistakes{f', {warnings} warning(s)' if warnings else ''}")
+    print(tally(errors, warnings))
     return 0

@@ -30,13 +30,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """0 when there are no errors, else 65."""
+    from lfield.text.findings import tally
+
     found = _once(finding for path in args.files for finding in _findings(path))
     errors = sum(finding.severity == "error" for finding in found)
     if args.json:
         print(json.dumps([finding.as_data() for finding in found], indent=2))
     elif found:
         print("\n".join(finding.render() for finding in found), file=sys.stderr)
-        print(f"lfield: {errors} error(s), {len(found) - errors} warning(s)", file=sys.stderr)
+        print(f"lfield: {tally(errors, len(found) - errors)}", file=sys.stderr)
     return exits.DATA if errors else exits.DONE
 
 

@@ -60,7 +60,8 @@ def _check_body(
         return
     body.scope = Scope(None, {p.name: p for p in method.parameters})
     method.body.extend(statements(body, written.body))
-    begin_calls(symbols, method.body, whole=len(symbols.found.found) == before and not written.broken)
+    is_whole = len(symbols.found.found) == before and not (written.broken or symbols.incomplete)
+    begin_calls(symbols, method.body, whole=is_whole)
     if len(symbols.found.found) == before and not written.broken:
         check_flow(symbols, method)
 

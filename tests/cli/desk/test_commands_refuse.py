@@ -227,7 +227,7 @@ def test_check_tells_every_error_of_a_file_in_one_run(lfield):
     assert lfield.status(done) == 65
     errors = [line for line in done.err if ": error[L" in line]
     assert [error.split(":")[:2] for error in errors] == [["bad.L", "3"], ["bad.L", "4"], ["bad.L", "5"]]
-    assert done.err[-1].startswith("lfield: 3 error(s)")
+    assert done.err[-1].startswith("lfield: 3 errors")
     assert sum(line.strip().startswith("^") for line in done.err) == 3
 
 
