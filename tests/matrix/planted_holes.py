@@ -139,8 +139,8 @@ HOLES = (
     Hole(
         "how long a mission lasts is forgotten",
         "cli/run/own_keys.py",
-        "(found, kept), args.lasts)",
-        "(found, kept))",
+        "folders, args.lasts)",
+        "folders)",
         "with_keys",
     ),
     Hole(

@@ -400,7 +400,7 @@ class Knock:
 
 def run_knocking(story) -> None:
     async def told() -> None:
-        inn = Inn("tls", Reception())
+        inn = Inn("tls", Reception(lambda: 0.0))
         inn.shown = inn.team.host("bravo")
         try:
             await story(inn)

@@ -78,7 +78,7 @@ def test_what_another_user_names_is_not_opened(there, capsys, tmp_path, words):
 def test_a_mission_that_is_named_is_asked_where_it_says_and_others_are_named(there, capsys, tmp_path):
     file = tmp_path / "tour.dL"
     file.write_text("//Post:near@localhost:1\n")
-    (tmp_path / "tour.L").write_text("resource Post {}\n")
+    (tmp_path / "tour.L").write_text("resource Post { portal hold() { } }\n")
     (tmp_path / "tour.capabilities.yaml").write_text("registry: 1\nproviders: {Post: {serves: {Hold: {}}}}\n")
     false = claimed("localhost")
     digest = open_team(file).deployment.hex()

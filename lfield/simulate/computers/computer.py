@@ -123,14 +123,15 @@ class _Loop(ProcessLoop):
         self, made: Callable[[], asyncio.SubprocessProtocol], *command: str, **_: Any
     ) -> tuple[asyncio.SubprocessTransport, asyncio.SubprocessProtocol]:
         """See asyncio; `python -m MODULE` is one of the computer's programs."""
-        program = self._computer.programs.get(command[2]) if len(command) > 2 else None
+        module, *words = command[command.index("-m") + 1 :] if "-m" in command else [""]
+        program = self._computer.programs.get(module)
         if program is None:
             beyond(f"start {' '.join(map(str, command))}")
         protocol, child = made(), self._computer.start()
         self._process.children.append(child)
         transport = Child(self, child, protocol)
         protocol.connection_made(transport)
-        begin = partial(child.begin, program, command[3:], transport.stdout)
+        begin = partial(child.begin, program, words, transport.stdout)
         child.loop.soon(begin, self.machine.dice.uniform(*STARTS))
         return transport, protocol
 

@@ -26,8 +26,8 @@ GOOD = {
 resource Sky {
     Mavlink fc;
     init(string[] arg) { }
-    portal climb(real up) { fc.takeoff(up); }
-    portal descend(real down) { fc.land(); }
+    portal climb(real up) emit real { fc.takeoff(up); return up; }
+    portal descend(real down) emit real { fc.land(); return down; }
 }
 coordinator Boss { init(string[] arg) { findSky(arg[1]).climb(3.0); } }
 """,

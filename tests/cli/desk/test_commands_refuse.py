@@ -270,7 +270,7 @@ def test_a_full_disk_under_the_output_of_a_command(lfield, good, command):
     with open("/dev/full", "wb") as full:
         done = lfield(*command.split(), stdout=full)
     assert lfield.status(done) == 74
-    assert done.err == ["lfield: No space left on device"]
+    assert done.err == ["lfield: no space left on device"]
 
 
 # up

@@ -74,8 +74,8 @@ def test_the_devices_of_a_file_as_json_without_agreement(lfield, bus):
 @pytest.mark.parametrize(
     ("driver", "fake", "settings", "passed"),
     [
-        ("dynamixel", ["--servo", "1:XM430-W350"], ["id=1"], 5),
-        ("mavlink", ["--listen", "udp:127.0.0.1:0", "--set-up"], ["waivers=[device_watchdog]"], 10),
+        ("dynamixel", ["--servo", "1:XM430-W350"], ["id=1"], 6),
+        ("mavlink", ["--listen", "udp:127.0.0.1:0", "--set-up"], ["waivers=[device_watchdog]"], 11),
     ],
 )
 def test_what_does_not_move_is_tried_on_a_fake_by_the_command(lfield, driver, fake, settings, passed):
@@ -86,7 +86,8 @@ def test_what_does_not_move_is_tried_on_a_fake_by_the_command(lfield, driver, fa
     where = sim.wait_for(r"^ready (\S+)")[1]
     kit = lfield("kit", driver, "--endpoint", where, *types, *words, "--silence", "2")
     assert lfield.status(kit) == 0, kit.said
-    assert kit.out[0].startswith("ok      kit.device: identity: ")
+    assert kit.out[0].startswith("ok      kit.device: endpoint: ")
+    assert kit.out[1].startswith("ok      kit.device: identity: ")
     assert kit.out[-1].startswith(f"{passed} passed, 0 failed, ")
 
 
@@ -98,5 +99,5 @@ def test_an_endpoint_on_the_command_line_stands_for_those_of_the_file(lfield, bu
     )
     kit = lfield("kit", "can", "--devices", "crane.yaml", "--endpoint", bus, "--silence", "2")
     assert lfield.status(kit) == 0, kit.said
-    assert kit.out[0].startswith("ok      crane.hoist: identity: CiA 402 drive, node 5")
-    assert kit.out[-1].startswith("4 passed, 0 failed, ")
+    assert kit.out[1].startswith("ok      crane.hoist: identity: CiA 402 drive, node 5")
+    assert kit.out[-1].startswith("5 passed, 0 failed, ")

@@ -15,7 +15,7 @@ from lfield.authority.identity import Right
 pytestmark = pytest.mark.process
 
 PROGRAM = """
-resource Post { init(string[] arg) { write("posted\\n"); while (true) yield(); } }
+resource Post { init(string[] arg) { write("posted\\n"); while (true) yield(); } portal hold() { } }
 coordinator Guest { init(string[] arg) { sleep(1000.0); } }
 """
 DEPLOYMENT = "//Post:near@alpha\n//Guest:tom@alpha\n//Post:far@bravo\n"
