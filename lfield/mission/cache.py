@@ -25,7 +25,7 @@ import msgspec
 from lfield import __version__, exits
 from lfield.errors import BundleError, InputFileError, NoHome, OutputFileError
 from lfield.mission import bundle
-from lfield.mission.inputs import Inputs
+from lfield.mission.inputs import Inputs, searched
 from lfield.text import own_folders
 from lfield.text.files import read_within
 from lfield.text.private import private_folder, private_locked, private_opened
@@ -67,7 +67,7 @@ class Order:
     @property
     def key(self) -> str:
         """What tells this order from others: also where it is given, and by whom it is carried out."""
-        said = [__version__, sys.executable, os.getcwd(), sys.path[1:], self.words]
+        said = [__version__, sys.executable, os.getcwd(), searched(), self.words]
         return hashlib.sha256(repr(said).encode()).hexdigest()[:32]
 
 

@@ -68,10 +68,15 @@ def _code() -> set[str]:
     own = os.path.dirname(os.__file__)
     loaded = {getattr(module, "__file__", None) or "" for module in list(sys.modules.values())}
     modules = {file for file in loaded if file.endswith(_CODE) and os.path.dirname(file) != own}
-    # Not the first: it is the folder of whoever called, where anything may come and go.
     return {file for file in modules if f"{own}/lib-dynload" not in file} | {
-        folder for folder in sys.path[1:] if os.path.isdir(folder)
+        folder for folder in searched() if os.path.isdir(folder)
     }
+
+
+def searched() -> list[str]:
+    """The folders where modules are found, without that of whoever called: there anything may come and go."""
+    # Python puts that one first, unless it is told not to (-P).
+    return sys.path if sys.flags.safe_path else sys.path[1:]
 
 
 def _state(path: str) -> tuple[bytes, int, int]:

@@ -135,17 +135,19 @@ class StreamLink(FramedLink, asyncio.Protocol):
 
     def _meet(self, coming: Iterator[None]) -> None:
         """Take what has come of a caller, until it turns out to be none of a host: then it waits."""
-        if any(self._is_guest for _ in coming):
-            self._wait(coming, self._reception, str(self.who))
+        for _ in coming:
+            if self._is_guest:
+                self._left = coming
+                self._reception.enter(self, str(self.who))
+                self._wait()
+                return
 
     @property
     def _is_guest(self) -> bool:
         """Whether this is no host, as far as it is known. A host that comes back waits behind nobody."""
         return self._looks or (not self._straight and self.who.kind in GUESTS)
 
-    def _wait(self, coming: Iterator[None], where: Reception, name: str) -> None:
-        self._left = coming
-        where.enter(self, name)
+    def _wait(self) -> None:
         if self._left is not None and not self._transport.is_closing():
             self._transport.pause_reading()
 
@@ -174,11 +176,7 @@ class StreamLink(FramedLink, asyncio.Protocol):
 
 
 class TlsLink(StreamLink):
-    """The same in TLS, which proves who is there. Of whoever is called nothing is held before bytes come.
-
-    To prove it is work. So whoever calls has that done at the `threshold`, where all wait of whom nothing is
-    known, in turns of their addresses.
-    """
+    """The same in TLS, which proves who is there. Of whoever is called nothing is held before bytes come."""
 
     def __init__(
         self,
@@ -186,13 +184,12 @@ class TlsLink(StreamLink):
         max_pending: int,
         on_link: Callable[[Link], LinkHandler],
         reception: Reception,
-        threshold: Reception,
         tls: Tls,
         *,
         calls: bool,
     ) -> None:
         super().__init__(max_block, max_pending, on_link, reception, nobody_known, calls=calls)
-        self._threshold, self._tls = threshold, tls
+        self._tls = tls
         self._channel: Channel | None = None
         self._proven: asyncio.Future[None] = self._loop.create_future()
 
@@ -206,10 +203,10 @@ class TlsLink(StreamLink):
             self._transport.write(self._channel.take())
 
     def data_received(self, data: bytes) -> None:
+        channel = self._channel = self._channel or self._tls.channel(calls=False)
         if not self._straight:
-            self._come(self._opened(data))
+            self._meet(self._opened(channel, data))
             return
-        channel = self._ensured()
         try:
             for plain in channel.feed(data):
                 self.who = channel.who
@@ -224,39 +221,9 @@ class TlsLink(StreamLink):
             self.who = channel.who
             self._proven.set_result(None)
 
-    def _come(self, coming: Iterator[None]) -> None:
-        if self._is_proven:
-            self._meet(coming)
-        else:
-            self._wait(coming, self._threshold, self.peer.rpartition(":")[0])
-
-    def take_one(self) -> bool:
-        """See `Waiting.take_one`: whoever is proven waits at the threshold no more."""
-        knocked, coming = not self._is_proven, self._left
-        more = super().take_one()
-        if not (knocked and more and self._is_proven):
-            return more
-        assert coming is not None
-        self._left = None
-        if self._is_guest:
-            self._wait(coming, self._reception, str(self.who))
-        else:
-            self._meet(coming)
-        if self._left is None and not self._transport.is_closing():
-            self._transport.resume_reading()
-        return False
-
-    def _ensured(self) -> Channel:
-        channel = self._channel = self._channel or self._tls.channel(calls=False)
-        return channel
-
-    @property
-    def _is_proven(self) -> bool:
-        return self._channel is not None and self._channel.proven
-
-    def _opened(self, data: bytes) -> Iterator[None]:
+    def _opened(self, channel: Channel, data: bytes) -> Iterator[None]:
         """The same a little at a time: a record may have a thousand messages, or nothing but work."""
-        channel, view = self._ensured(), memoryview(data)
+        view = memoryview(data)
         try:
             for start in range(0, len(view), PIECE):
                 for plain in channel.feed(view[start : start + PIECE]):
@@ -286,7 +253,6 @@ class TlsLink(StreamLink):
             self._transport.write(data)
 
     def finished(self, error: LfieldError | None) -> None:
-        self._threshold.leave(self)
         # Now, and not when the collector finds this link: of strangers that would pile up until then.
         self._channel = None
         if not self._calls or (self._proven.done() and not self._proven.cancelled()):

@@ -34,9 +34,6 @@ _REASONS = {
 #: How many callers are let in at once, and how many may wait. Asyncio's own loop takes one number for both:
 #: of a crowd it would take more at once than there are descriptors, before any of them can be shown out.
 AT_ONCE, WAITING = 1, 128
-#: So many steps of handshakes are taken in a round of a reception, none more after so many seconds: half a
-#: processor. Somebody with a key may be in a crowd without, and calls from the same address.
-HANDSHAKES, SHAKING = 64, 0.01
 
 
 class TcpTransport:
@@ -61,7 +58,7 @@ class TcpTransport:
         self._tls, self._resident = tls, resident
         self._max_pending = 4 * max_block + (1 << 20) if max_pending is None else max_pending
         self._connect_timeout = connect_timeout
-        self._reception, self._threshold = Reception(), Reception(most=HANDSHAKES, longest=SHAKING)
+        self._reception = Reception()
 
     async def listen(self, address: str, on_link: Callable[[Link], LinkHandler]) -> TcpListener:
         """Listen at exactly that address; port 0 takes a free one. Raises AddressError.
@@ -122,7 +119,7 @@ class TcpTransport:
         block, pending, reception = self._max_block, self._max_pending, self._reception
         if plain or self._tls is None:
             return StreamLink(block, pending, on_link, reception, self._resident, calls=calls)
-        return TlsLink(block, pending, on_link, reception, self._threshold, self._tls, calls=calls)
+        return TlsLink(block, pending, on_link, reception, self._tls, calls=calls)
 
 
 def _path(address: str) -> Path:

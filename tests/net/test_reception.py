@@ -32,13 +32,13 @@ READ = 256 << 10
 class Wire(asyncio.Transport):
     """The transport of a link: what it was told."""
 
-    def __init__(self, family: int, peer: object = "") -> None:
+    def __init__(self, family: int) -> None:
         super().__init__()
-        self._socket, self._peer = socket.socket(family), peer
+        self._socket = socket.socket(family)
         self.reads, self.closing, self.said = True, False, b""
 
     def get_extra_info(self, name: str, default: object = None) -> object:
-        return self._socket if name == "socket" else self._peer if name == "peername" else default
+        return self._socket if name == "socket" else "" if name == "peername" else default
 
     def pause_reading(self) -> None:
         self.reads = False
@@ -115,24 +115,12 @@ class TlsCaller(Caller):
         super().say(b"".join([self._channel.take(), *map(self._channel.seal, parts)]))
 
 
-class Open:
-    """A threshold that nobody waits at."""
-
-    def enter(self, guest, person: str) -> None:
-        while guest.take_one():
-            pass
-
-    def leave(self, guest) -> None:
-        pass
-
-
 class Inn:
     """A host without anything in it, and its callers, over one of the two ways."""
 
-    def __init__(self, way: str, threshold: Reception | Open | None = None) -> None:
+    def __init__(self, way: str) -> None:
         self.work = 0.0
         self.loop, self.reception, self.way = asyncio.get_running_loop(), Reception(self.busy), way
-        self.threshold = threshold or Open()
         self.callers: list[Caller] = []
         self.team = Team()
         self.tls = Tls(self.team.host("alpha"))
@@ -143,12 +131,10 @@ class Inn:
             made: Caller = Caller(self, name, link, socket.AF_UNIX)
         else:
             keys = self.team.host(name) if host else self.team.person(name, Right.OBSERVE)
-            made = TlsCaller(self, name, self.link(), keys)
+            tls = TlsLink(MAX_BLOCK, 1 << 20, Recorder, self.reception, self.tls, calls=False)
+            made = TlsCaller(self, name, tls, keys)
         self.callers.append(made)
         return made
-
-    def link(self) -> TlsLink:
-        return TlsLink(MAX_BLOCK, 1 << 20, Recorder, self.reception, self.threshold, self.tls, calls=False)
 
     def busy(self) -> float:
         return self.work
@@ -366,99 +352,3 @@ def test_a_host_waits_behind_nobody_unless_it_only_looks(role: Role):
             assert bravo.heard == 202
 
     run_tls(story)
-
-
-# Before anybody is proven
-
-
-class Knock:
-    """A caller of whom nothing is known, in TLS: so far it has said its first word, or nothing."""
-
-    def __init__(self, inn: Inn, address: str, keys) -> None:
-        self.hears, self.wire, self.link = Greeter(), Wire(socket.AF_INET, (address, 5000)), inn.link()
-        self.link._on_link = lambda _: self.hears
-        self.link.connection_made(self.wire)
-        self._channel = Tls(keys).channel(calls=True)
-        inn.callers.append(self)
-
-    heard = Caller.heard
-
-    def knock(self) -> Knock:
-        self.link.data_received(self._channel.take())
-        return self
-
-    def enter(self, *messages) -> None:
-        assert list(self._channel.feed(self.wire.said)) == []
-        words = self._channel.seal(b"".join(map(encode, messages)))
-        assert self.wire.reads
-        self.link.data_received(self._channel.take() + words)
-
-    @property
-    def answered(self) -> bool:
-        return bool(self.wire.said)
-
-
-def run_knocking(story) -> None:
-    async def told() -> None:
-        inn = Inn("tls", Reception(lambda: 0.0))
-        inn.shown = inn.team.host("bravo")
-        try:
-            await story(inn)
-        finally:
-            inn.close()
-
-    run_jumping(told())
-
-
-def test_of_a_crowd_of_strangers_a_few_are_answered_at_a_time():
-    """Their handshakes are work for nothing."""
-
-    async def story(inn):
-        crowd = [Knock(inn, "10.0.0.9", inn.shown).knock() for _ in range(60)]
-        assert 1 <= sum(one.answered for one in crowd) <= AT_ONCE
-        assert not all(one.wire.reads for one in crowd)
-        while not all(one.answered for one in crowd):
-            await asyncio.sleep(ROUND)
-        assert all(one.wire.reads for one in crowd)
-
-    run_knocking(story)
-
-
-def test_whoever_knocks_from_elsewhere_is_answered_in_the_next_round():
-    async def story(inn):
-        for _ in range(60):
-            Knock(inn, "10.0.0.9", inn.shown).knock()
-        bravo = Knock(inn, "10.0.0.2", inn.shown).knock()
-        await asyncio.sleep(2.1 * ROUND)
-        assert bravo.answered
-        bravo.enter(Hello("host", "bravo", 7), *[Ping(1)] * 50)
-        await asyncio.sleep(2.1 * ROUND)
-        assert bravo.heard == 51, "and once it is known to be a host nothing waits"
-        assert bravo.wire.reads
-
-    run_knocking(story)
-
-
-def test_a_person_waits_among_persons_once_it_is_known():
-    async def story(inn):
-        anna = Knock(inn, "10.0.0.9", inn.team.person("anna", Right.OBSERVE)).knock()
-        anna.enter(HELLO, *[StatusRequest()] * 200)
-        assert 1 <= anna.heard <= AT_ONCE + 1
-        assert not anna.wire.reads
-        while not anna.wire.reads:
-            await asyncio.sleep(ROUND)
-        assert anna.heard == 201
-
-    run_knocking(story)
-
-
-def test_a_stranger_who_goes_while_it_waits_is_forgotten():
-    async def story(inn):
-        crowd = [Knock(inn, "10.0.0.9", inn.shown).knock() for _ in range(60)]
-        for one in crowd[30:]:
-            one.link.connection_lost(None)
-        await asyncio.sleep(60 * ROUND)
-        assert all(one.answered for one in crowd[:30])
-        assert not any(one.answered for one in crowd[30:])
-
-    run_knocking(story)

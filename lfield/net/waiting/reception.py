@@ -28,10 +28,8 @@ class Reception:
     All calls happen on the thread of a running loop, and `busy` says how long that has been at work.
     """
 
-    def __init__(
-        self, busy: Callable[[], float] = time.thread_time, most: int = AT_ONCE, longest: float = LONGEST
-    ) -> None:
-        self._turns: Turns[Waiting] = Turns(most, longest)
+    def __init__(self, busy: Callable[[], float] = time.thread_time) -> None:
+        self._turns: Turns[Waiting] = Turns(AT_ONCE, LONGEST)
         self._busy = busy
         self._timer: asyncio.TimerHandle | None = None
 
