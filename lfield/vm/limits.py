@@ -25,7 +25,7 @@ from lfield.vm.memory.layout import (
     THREAD_ID,
     THREAD_STATE,
 )
-from lfield.vm.memory.threads import serving
+from lfield.vm.memory.threads import only_thread, serving
 from lfield.vm.reference.unwind import rows_of
 from lfield.vm.scheduler import Scheduler
 
@@ -91,8 +91,7 @@ class TimeLimits:
         due = self._due(agent)
         agent.overdue = not due and any(self._is_over(agent, word) for word, _ in self._around(agent))
         if due:
-            thread = agent.block.w[agent.block.w[layout.W_THREADS] + THREAD_ID]
-            self._throw(agent, thread, due, f": {why}" if why else "")
+            self._throw(agent, only_thread(agent.block), due, f": {why}" if why else "")
         return bool(due)
 
     # --- alarms ---------------------------------------------------------------------------------------

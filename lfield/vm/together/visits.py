@@ -24,7 +24,7 @@ from lfield.vm.memory.layout import (
     TICKET_THROWN,
     TOLD,
 )
-from lfield.vm.memory.threads import place_of
+from lfield.vm.memory.threads import only_thread, place_of
 from lfield.vm.memory.tickets import collected
 from lfield.vm.reserve.held import Held
 from lfield.vm.scheduler import Scheduler
@@ -123,8 +123,7 @@ class Visits:
 
     def of_thread(self, agent: Agent) -> list[Ticket]:
         """Those of a coordinator's only thread."""
-        w = agent.block.w
-        return self.tickets(agent, w[w[layout.W_THREADS] + THREAD_ID])
+        return self.tickets(agent, only_thread(agent.block))
 
     def is_here(self, ticket: Ticket) -> bool:
         """Whether its resource is on this host."""
