@@ -81,6 +81,8 @@ class HostCore:
         self.here = self.team.number(name)
         self._clock, self._memory, self._reserves = clock, memory, mission.program.has_reserves
         self._effects: list[Effect] = []
+        #: For how many seconds programs have run here.
+        self.programs_ran = 0.0
         #: What is told of all that happens here.
         self.teller = teller = teller or Teller(clock)
         #: What the machine asks this host.
@@ -182,7 +184,7 @@ class HostCore:
         self._begun.look()
         if self._reserves:
             self.reserving.look()
-        pause = None if self.coordinators.halted or self.coordinators.paused else self.machine.run()
+        pause = None if self.coordinators.halted or self.coordinators.paused else self._run_programs()
         self.coordinators.answer()
         self._inits.look(now)
         # A portal that has ended may be what somebody waits for who wants to reserve its resource.
@@ -193,6 +195,12 @@ class HostCore:
         for part in self._timed:
             if (due := part.due) is not None and (pause is None or due - now < pause):
                 pause = max(0.0, due - now)
+        return pause
+
+    def _run_programs(self) -> float | None:
+        began = self._clock.monotonic()
+        pause = self.machine.run()
+        self.programs_ran += self._clock.monotonic() - began
         return pause
 
     # --- life -----------------------------------------------------------------------------------------

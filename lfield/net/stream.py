@@ -10,7 +10,7 @@ from lfield.authority.identity import STRANGER, Identity
 from lfield.errors import AddressError, LfieldError, OverBudget, WireError
 from lfield.net.door import caller_at, host_at
 from lfield.net.framed import FramedLink
-from lfield.net.transport import join_address
+from lfield.net.paths.attempts import socket_text
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -310,4 +310,4 @@ def socket_address(name: str | tuple[str, int] | tuple[str, int, int, int]) -> s
     """The address of a socket, as transports have them."""
     if isinstance(name, str):
         return f"{UNIX}{name}" if name else CALLER
-    return join_address(name[0], name[1])
+    return socket_text(name)

@@ -132,6 +132,15 @@ def join_address(host: str, port: int) -> str:
     return f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
 
 
+def is_lasting(host: str) -> bool:
+    """Whether a host is written as an address that stays what it is; a zone is the name of an interface,
+    which may go and come back with another number."""
+    try:
+        return getattr(ip_address(host), "scope_id", None) is None
+    except ValueError:
+        return False
+
+
 def is_number(address: str) -> bool:
     """Whether it is one of an interface, and no name that has to be looked up."""
     try:

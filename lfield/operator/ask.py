@@ -12,7 +12,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Generic, NamedTuple, TypeVar
 
 from lfield.authority import folder
-from lfield.errors import AddressError, GreetingError, KeysError, LfieldError, NobodyListens, WireError
+from lfield.errors import (
+    AddressError,
+    GreetingError,
+    KeysError,
+    LfieldError,
+    NobodyListens,
+    OverBudget,
+    WireError,
+)
 from lfield.net.greeting import Greeting
 from lfield.net.stream import UNIX
 from lfield.net.tcp import TcpTransport
@@ -392,6 +400,10 @@ class _Asking(Generic[T]):
 
     def on_oversize(self, link: Link, header: Transfer, size: int) -> None:
         raise WireError("a coordinator was sent to an observer")
+
+    def on_excess(self, link: Link, error: OverBudget) -> None:
+        # A long answer takes its time; whoever never answers is given up all the same.
+        pass
 
     def on_closed(self, link: Link, error: LfieldError | None) -> None:
         if not self.answer.done():

@@ -11,7 +11,15 @@ from collections.abc import Awaitable, Callable, Sequence
 from typing import Protocol
 
 from lfield.clock import Clock
-from lfield.errors import AddressError, GreetingError, KeysError, LfieldError, NobodyListens, WireError
+from lfield.errors import (
+    AddressError,
+    GreetingError,
+    KeysError,
+    LfieldError,
+    NobodyListens,
+    OverBudget,
+    WireError,
+)
 from lfield.net.greeting import Greeting
 from lfield.net.transport import Link, Transport
 from lfield.operator.ask import Brought
@@ -180,6 +188,9 @@ class Watching:
     def on_oversize(self, link: Link, header: Transfer, size: int) -> None:
         """Nor a larger one."""
         raise WireError("a coordinator was sent to an observer")
+
+    def on_excess(self, link: Link, error: OverBudget) -> None:
+        """A host sends more than this computer can show: it is read more slowly, and closed in the end."""
 
     def on_closed(self, link: Link, error: LfieldError | None) -> None:
         """The link is gone."""
