@@ -1,0 +1,86 @@
+"""Connects to whichever address of a host answers first: one that does not answer keeps none of the others."""
+
+from __future__ import annotations
+
+import asyncio
+import socket
+from collections import deque
+from collections.abc import Sequence
+
+from lfield.net.paths.names import Found
+from lfield.net.transport import join_address
+
+#: Seconds until the next address is tried beside those that have not answered (RFC 8305, section 5).
+STAGGER = 0.25
+
+
+async def first_connected(
+    addresses: Sequence[Found], failures: dict[Found, Exception]
+) -> tuple[socket.socket, Found]:
+    """A connected socket, and to which of the addresses; those that fail are put into `failures`.
+
+    Raises the OSError of the last one when all have failed.
+    """
+    left, tasks = deque(addresses), dict[asyncio.Task[socket.socket], Found]()
+    winner: asyncio.Task[socket.socket] | None = None
+    try:
+        while left or tasks:
+            if left:
+                found = left.popleft()
+                tasks[asyncio.ensure_future(_connected(found))] = found
+            done, _ = await asyncio.wait(
+                tasks, timeout=STAGGER if left else None, return_when=asyncio.FIRST_COMPLETED
+            )
+            for task in done:
+                found, error = tasks.pop(task), task.exception()
+                if error is None:
+                    winner = task
+                    return task.result(), found
+                if not isinstance(error, OSError):
+                    raise error
+                failures[found] = error
+        error = next(reversed(failures.values()))
+        raise error
+    finally:
+        for task in tasks:
+            task.cancel()
+            task.add_done_callback(_close)
+        for task in done if winner is not None else ():
+            if task is not winner:
+                _close(task)
+
+
+def in_words(found: Found) -> str:
+    """An address for sentences, with its zone."""
+    return socket_text(found.address)
+
+
+def socket_text(name: tuple[str, int] | tuple[str, int, int, int]) -> str:
+    """The address of a socket as transports write it: "host:port", IPv6 in brackets, with its zone."""
+    host, port, zone = name[0], name[1], name[3] if len(name) == 4 else 0
+    if host.startswith("::ffff:") and "." in host:
+        # Of a socket for both families.
+        host = host.removeprefix("::ffff:")
+    if zone and "%" not in host:
+        try:
+            host = f"{host}%{socket.if_indextoname(zone)}"
+        except OSError:
+            host = f"{host}%{zone}"
+    return join_address(host, port)
+
+
+async def _connected(found: Found) -> socket.socket:
+    made = socket.socket(found.family, socket.SOCK_STREAM)
+    try:
+        made.setblocking(False)
+        await asyncio.get_running_loop().sock_connect(made, found.address)
+    except BaseException:
+        made.close()
+        raise
+    return made
+
+
+def _close(task: asyncio.Task[socket.socket]) -> None:
+    """Close what nobody needs any more."""
+    if not task.cancelled() and task.exception() is None:
+        task.result().close()
