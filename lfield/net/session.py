@@ -153,7 +153,7 @@ class Session:
         self.greet(link)
         hello = self._greeting.receive(message)
         if hello.role == "host" and self._peers.barred_for(hello.host):
-            self._refuse(f"{hello.host} sent too much, and is not accepted for {LONGEST_BAR:g} s at most")
+            self._refuse(f"{hello.host} sent too much: this host accepts it again within {LONGEST_BAR:g} s")
         if self.dialled is None and hello.role == "host" and self._peers.crossed(hello.host, self.made):
             link.close()
             return

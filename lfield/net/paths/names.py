@@ -38,7 +38,7 @@ async def looked_up(host: str, port: int, *, passive: bool = False) -> list[Foun
     UnicodeError.
     """
     with suppress(socket.gaierror):
-        return _found(host, port, socket.AI_NUMERICHOST, passive=passive)
+        return numbers_of(host, port, socket.AI_NUMERICHOST, passive=passive)
     if "%" in host:
         # An address with a zone, which is the name of an interface that there is not.
         raise OSError(errno.ENODEV, os.strerror(errno.ENODEV))
@@ -61,7 +61,7 @@ async def looked_up(host: str, port: int, *, passive: bool = False) -> list[Foun
     def work() -> None:
         found: list[Found] | OSError | UnicodeError
         try:
-            found = _found(host, port, 0, passive=passive)
+            found = numbers_of(host, port, passive=passive)
         except (OSError, UnicodeError) as error:
             found = error
         # The loop may be closed by now: then nobody waits.
@@ -73,7 +73,8 @@ async def looked_up(host: str, port: int, *, passive: bool = False) -> list[Foun
     return await result
 
 
-def _found(host: str, port: int, flags: int, *, passive: bool) -> list[Found]:
+def numbers_of(host: str, port: int, flags: int = 0, *, passive: bool = False) -> list[Found]:
+    """The same, while the caller waits."""
     flags |= socket.AI_PASSIVE if passive else 0
     rows = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM, flags=flags)
     return list(dict.fromkeys(Found(family, address) for family, _, _, _, address in rows))  # type: ignore[arg-type]

@@ -58,6 +58,8 @@ class _Account:
     #: Whether a crowd came in one read, and since when the member has been over budget with one.
     is_crowded: bool = False
     flooding_since: float = math.inf
+    #: Since when it has been over budget and made new links.
+    connecting_since: float = math.inf
     #: Whether it was held since its last read began, and before the one that is being taken.
     was_held: bool = False
     is_after_hold: bool = False
@@ -94,8 +96,13 @@ class Rations:
 
     def on_handshake(self, member: str, seconds: float, now: float) -> Standing:
         """A new link of a member is proven. Who makes links while it is over its budget sends a crowd."""
-        standing = self.on_work(member, seconds, now)
-        return standing if standing is Standing.WITHIN else self.on_work(member, 0.0, now, CROWD)
+        account = self._account(member, now)
+        account.level = min(account.level + max(0.0, seconds), ALLOWANCE + BEYOND)
+        if account.level <= ALLOWANCE:
+            return Standing.WITHIN
+        account.over_since = min(account.over_since, now)
+        account.connecting_since = min(account.connecting_since, now)
+        return Standing.FLOOD if now - account.connecting_since >= OVER_FOR else Standing.OVER
 
     def on_read(self, member: str, now: float) -> None:
         """Bytes of a member have come, of which nothing was taken yet."""
@@ -110,7 +117,8 @@ class Rations:
 
     def on_closed(self, member: str, now: float) -> None:
         """Its link was closed for a flood: the next link begins with the same debt, and a new term."""
-        self._account(member, now).flooding_since = math.inf
+        account = self._account(member, now)
+        account.flooding_since = account.connecting_since = math.inf
 
     def held_until(self, member: str) -> float:
         """When a member is to be read on, in seconds of the same clock."""
@@ -138,5 +146,5 @@ class Rations:
         account.at = now
         if account.level <= ALLOWANCE / 2:
             account.is_crowded = account.is_reported = False
-            account.flooding_since = account.over_since = math.inf
+            account.flooding_since = account.over_since = account.connecting_since = math.inf
         return account

@@ -26,6 +26,7 @@ from lfield.wire.messages import Heard, Hello, Message, Ping, Refuse, Room, Sign
 BLOCK = bytes(256 << 10)
 KINDS = {
     "pings": encode(Ping(1)) * 600,
+    "records": encode(Ping(1)) * 600,
     "gossip": encode(Heard([], [SignOfLife(0, 7, 9)])) * 300,
     "rooms": encode(Room("")) * 300,
     "transfers": encode_transfer(Transfer("tom", 1, 1, 1, b"p" * 32, 7, len(BLOCK)), BLOCK) + BLOCK,
@@ -46,8 +47,10 @@ class Caller:
         self.send(encode(hello))
         self._messages = self._received()
 
-    def send(self, data: bytes) -> None:
-        self.link.sendall(self._channel.seal(data))
+    def send(self, data: bytes, record: int = 1 << 14) -> None:
+        """In records of so many bytes."""
+        parts = (data[at : at + record] for at in range(0, len(data), record))
+        self.link.sendall(b"".join(map(self._channel.seal, parts)))
 
     def hear(self) -> Message:
         """The next message. Raises ConnectionError when the link has ended."""
@@ -96,19 +99,19 @@ def main() -> None:
                 caller.link.close()
                 continue
             print(f"linked {time.monotonic():.3f}", flush=True)
-            flood(caller, KINDS[kind], rate)
+            flood(caller, KINDS[kind], rate, len(encode(Ping(1))) if kind == "records" else 1 << 14)
         except OSError:
             print(f"closed {time.monotonic():.3f}", flush=True)
             time.sleep(0.05)
 
 
-def flood(caller: Caller, data: bytes, rate: float) -> None:
+def flood(caller: Caller, data: bytes, rate: float, record: int) -> None:
     """Send until the link ends; so many times a second at most, 0 for any. Answers are thrown away."""
     threading.Thread(target=throw_away, args=[caller.link], daemon=True).start()
     caller.link.settimeout(None)
     began, sent = time.monotonic(), 0
     while True:
-        caller.send(data)
+        caller.send(data, record)
         sent += 1
         if rate:
             time.sleep(max(0.0, began + sent / rate - time.monotonic()))
