@@ -81,8 +81,8 @@ class HostCore:
         self.here = self.team.number(name)
         self._clock, self._memory, self._reserves = clock, memory, mission.program.has_reserves
         self._effects: list[Effect] = []
-        #: For how many seconds programs have run here.
-        self.programs_ran = 0.0
+        #: For how many seconds programs have run here, by this clock.
+        self.programs_ran, self.stopwatch = 0.0, clock.monotonic
         #: What is told of all that happens here.
         self.teller = teller = teller or Teller(clock)
         #: What the machine asks this host.
@@ -198,9 +198,9 @@ class HostCore:
         return pause
 
     def _run_programs(self) -> float | None:
-        began = self._clock.monotonic()
+        began = self.stopwatch()
         pause = self.machine.run()
-        self.programs_ran += self._clock.monotonic() - began
+        self.programs_ran += self.stopwatch() - began
         return pause
 
     # --- life -----------------------------------------------------------------------------------------

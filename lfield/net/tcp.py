@@ -39,7 +39,8 @@ class TcpTransport:
     not read (by default room for four such blocks); a link over it is closed. `connect_timeout` is in
     seconds. With `tls` both ends of a TCP link prove who they are and nobody else can read it; without it
     whoever is there is a stranger, but where addresses do not lie, as in a simulation: `resident` says so.
-    `busy` is the processing time of this thread, by which peers are rationed.
+    `busy` is the processing time of this thread, by which peers are rationed, and `exempt` that part of it
+    which counts for none of them.
     """
 
     def __init__(
@@ -51,12 +52,13 @@ class TcpTransport:
         max_pending: int | None = None,
         connect_timeout: float = 5.0,
         busy: Callable[[], float] = time.thread_time,
+        exempt: Callable[[], float] = float,
     ) -> None:
         self._max_block = max_block
         self._tls, self._resident = tls, resident
         self._max_pending = 4 * max_block + (1 << 20) if max_pending is None else max_pending
         self._connect_timeout = connect_timeout
-        self._reception = Reception(busy)
+        self._reception = Reception(busy, exempt)
         #: Takes a line for the log.
         self.note: Callable[[str], None] = lambda text: None
         #: The addresses that have not answered lately.

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import asyncio
+import errno
+import os
 import socket
 from collections import deque
 from collections.abc import Sequence
@@ -70,14 +72,30 @@ def socket_text(name: tuple[str, int] | tuple[str, int, int, int]) -> str:
 
 
 async def _connected(found: Found) -> socket.socket:
+    """A socket that is connected. Not by `sock_connect` of the loops: those forget the zone of an address."""
     made = socket.socket(found.family, socket.SOCK_STREAM)
     try:
         made.setblocking(False)
-        await asyncio.get_running_loop().sock_connect(made, found.address)
+        error = made.connect_ex(found.address)
+        if error == errno.EINPROGRESS:
+            await _writable(made)
+            error = made.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR)
+        if error:
+            raise OSError(error, os.strerror(error))
     except BaseException:
         made.close()
         raise
     return made
+
+
+async def _writable(made: socket.socket) -> None:
+    loop = asyncio.get_running_loop()
+    done: asyncio.Future[None] = loop.create_future()
+    loop.add_writer(made.fileno(), lambda: done.done() or done.set_result(None))
+    try:
+        await done
+    finally:
+        loop.remove_writer(made.fileno())
 
 
 def _close(task: asyncio.Task[socket.socket]) -> None:

@@ -10,7 +10,7 @@ from lfield.errors import AddressError, LfieldError
 from lfield.net.paths.attempts import first_connected, in_words
 from lfield.net.paths.names import Found, looked_up
 from lfield.net.paths.reasons import refusal
-from lfield.net.transport import split_address
+from lfield.net.transport import is_number, split_address
 
 if TYPE_CHECKING:
     from lfield.net.stream import StreamLink
@@ -30,7 +30,7 @@ class Call:
         #: The link that is not proven yet.
         self.link: StreamLink | None = None
         self._left: list[Found] = []
-        self._count = 0
+        self._count, self._is_number = 0, is_number(address)
         self._failures: dict[Found, Exception] = {}
 
     async def linked(self) -> StreamLink:
@@ -60,9 +60,9 @@ class Call:
         return not all(isinstance(error, ConnectionRefusedError) for error in self._failures.values())
 
     def told(self, why: str) -> str:
-        """Why it has failed, with each address that was tried where the host is a name or has several."""
+        """Why it has failed, with each address that was tried where the host is a name."""
         self._unanswered |= self._failures.keys()
-        if self._count < 2:
+        if self._is_number or not self._count:
             return why
         parts = [f"{in_words(at)}: {_in_words(error)}" for at, error in self._failures.items()]
         return "; ".join([*parts, *(f"{in_words(at)}: {why}" for at in self._left)])

@@ -62,14 +62,17 @@ class _Read:
 class Reception:
     """What has come of guests is taken as far as there is room in this round, at once; the rest in the next.
 
-    All calls happen on the thread of a running loop, and `busy` says how long that has been at work.
+    All calls happen on the thread of a running loop, and `busy` says how long that has been at work. `exempt`
+    of it is not the work of whoever has sent a message.
     """
 
-    def __init__(self, busy: Callable[[], float] = time.thread_time) -> None:
+    def __init__(
+        self, busy: Callable[[], float] = time.thread_time, exempt: Callable[[], float] = float
+    ) -> None:
         self._turns: Turns[Waiting] = Turns(AT_ONCE, LONGEST)
         self.busy = busy
         self._timer: asyncio.TimerHandle | None = None
-        self.members = Members(busy)
+        self.members = Members(busy, exempt)
 
     def enter(self, guest: Waiting, person: str) -> None:
         """There is something to take of a guest of this person that did not wait."""
@@ -100,10 +103,10 @@ class Reception:
 
 
 class Members:
-    """Takes messages of members as their rations allow, in slices of the event loop. `busy` as above."""
+    """Takes messages of members as their rations allow, in slices of the event loop. The clocks as above."""
 
-    def __init__(self, busy: Callable[[], float]) -> None:
-        self._busy = busy
+    def __init__(self, busy: Callable[[], float], exempt: Callable[[], float]) -> None:
+        self._busy, self._exempt = busy, exempt
         self._turns: Turns[MemberLink] = Turns(_MANY, SLICE)
         self._rations = Rations()
         #: The open links of each member.
@@ -149,12 +152,13 @@ class Members:
     def _take(self) -> None:
         loop, began = asyncio.get_running_loop(), self._busy()
         while (link := self._turns.next()) is not None:
+            exempt = self._exempt()
             more = link.take_one()
             ended = self._busy()
             spent, began = ended - began, ended
             self._turns.took(spent)
             self._taken_at = now = loop.time()
-            self._on_taken(link, spent, now, more=more)
+            self._on_taken(link, spent - (self._exempt() - exempt), now, more=more)
         if self._turns.is_full and self._next_slice is None:
             self._next_slice = loop.call_soon(self._slice)
 

@@ -92,11 +92,15 @@ def main() -> None:
     port, name, kind, rate = int(sys.argv[1]), sys.argv[3], sys.argv[4], float(sys.argv[5])
     keys = Tls(folder.read(Path(sys.argv[2]), "host"))
     hello = greeting(port, keys, name)
+    count = 0
     while True:
         try:
             caller = linked(port, keys, hello)
             if kind == "handshakes":
                 caller.link.close()
+                count += 1
+                if count % 100 == 0:
+                    print(f"handshakes {count} {time.monotonic():.3f}", flush=True)
                 continue
             print(f"linked {time.monotonic():.3f}", flush=True)
             flood(caller, KINDS[kind], rate, len(encode(Ping(1))) if kind == "records" else 1 << 14)
