@@ -35,6 +35,8 @@ from lfield.wire.messages import Control, Hello, Ping, Pong, Revocations
 PING_EVERY, SILENT_FOR = 1.0, 3.0
 #: So many seconds a link is wanted that was needed for once, and one that nobody wants is kept.
 QUIET_FOR = 10.0
+#: After so many seconds without a link both of two neighbours call.
+BOTH_CALL_AFTER = 3.0
 #: So long at most a call is new, in seconds.
 NEW_FOR = 1.0
 #: So many links at most that have not greeted, by address, and of observers, by who they are.
@@ -187,13 +189,23 @@ class Peers:
         return host in self._wanted or self._needed.get(host, 0.0) > self._clock.monotonic()
 
     def _call(self, host: str) -> None:
-        number = self._numbers[host]
-        if host in self._links or (host in self._near and number < self._here):
+        if host in self._links or (self._is_called_by(host) and not self._is_missed(host)):
             return
+        number = self._numbers[host]
         caller = self._callers.get(host)
         if caller is None or caller.is_over:
             made = Dialler(self, self._transport, self._clock, host, self._addresses[number])
             self._callers[host] = made
+
+    def _is_called_by(self, host: str) -> bool:
+        """Whether a host is a neighbour that stands before this one: it calls."""
+        return host in self._near and self._numbers[host] < self._here
+
+    def _is_missed(self, host: str) -> bool:
+        """Whether a host has had no link for so long that both of the two call: it may not find this one, as
+        when this computer has another network card now."""
+        now = self._clock.monotonic()
+        return now - self.away.get(host, now) >= BOTH_CALL_AFTER
 
     # --- what diallers ask ----------------------------------------------------------------------------
 

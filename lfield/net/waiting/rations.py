@@ -22,7 +22,7 @@ from enum import Enum, auto
 #: The part of one processor that the messages of a member may take for long.
 RATION = 0.1
 #: Processing time that a member may take at once, and the most that is counted beyond that.
-ALLOWANCE, BEYOND = 0.25, 0.05
+ALLOWANCE, BEYOND = 0.5, 0.05
 #: Processing time that a member which is held to its ration gets at once.
 PORTION = 0.002
 #: A link is closed after so long over budget.

@@ -1,7 +1,7 @@
 """A member with valid keys that sends without an end: `python flooding.py PORT KEYS HOST KIND`.
 
-Prints `linked` when the host at that port of this computer has accepted it, and `closed` when the link ends.
-It calls again at once until it is stopped.
+Prints `linked` when the host at that port of this computer has accepted it, `refused` when it has not, and
+`closed` when the link ends, with the time. It calls again at once until it is stopped.
 """
 
 from __future__ import annotations
@@ -38,6 +38,7 @@ class Caller:
 
     def __init__(self, port: int, keys: Tls, hello: Hello) -> None:
         self.link = socket.create_connection(("127.0.0.1", port), 10.0)
+        self.link.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self._channel, self._decoder = keys.channel(calls=True), frame_decoder(lambda *_: None)
         self._decoder.limits = limits("host", 1 << 20)
         self.link.sendall(self._channel.take())
@@ -75,7 +76,7 @@ def linked(port: int, keys: Tls, hello: Hello) -> Caller:
     caller.hear()
     message = caller.hear()
     if isinstance(message, Refuse):
-        print(f"refused {message.reason}", flush=True)
+        print(f"refused {time.monotonic():.3f} {message.reason}", flush=True)
         raise ConnectionResetError
     return caller
 
@@ -89,36 +90,28 @@ def greeting(port: int, keys: Tls, name: str) -> Hello:
 
 def main() -> None:
     """Call until stopped."""
-    port, name, kind, rate = int(sys.argv[1]), sys.argv[3], sys.argv[4], float(sys.argv[5])
+    port, name, kind = int(sys.argv[1]), sys.argv[3], sys.argv[4]
     keys = Tls(folder.read(Path(sys.argv[2]), "host"))
     hello = greeting(port, keys, name)
-    count = 0
     while True:
         try:
             caller = linked(port, keys, hello)
+            print(f"linked {time.monotonic():.3f}", flush=True)
             if kind == "handshakes":
                 caller.link.close()
-                count += 1
-                if count % 100 == 0:
-                    print(f"handshakes {count} {time.monotonic():.3f}", flush=True)
                 continue
-            print(f"linked {time.monotonic():.3f}", flush=True)
-            flood(caller, KINDS[kind], rate, len(encode(Ping(1))) if kind == "records" else 1 << 14)
+            flood(caller, KINDS[kind], len(encode(Ping(1))) if kind == "records" else 1 << 14)
         except OSError:
             print(f"closed {time.monotonic():.3f}", flush=True)
             time.sleep(0.05)
 
 
-def flood(caller: Caller, data: bytes, rate: float, record: int) -> None:
-    """Send until the link ends; so many times a second at most, 0 for any. Answers are thrown away."""
+def flood(caller: Caller, data: bytes, record: int) -> None:
+    """Send until the link ends, in records of so many bytes. Answers are thrown away."""
     threading.Thread(target=throw_away, args=[caller.link], daemon=True).start()
     caller.link.settimeout(None)
-    began, sent = time.monotonic(), 0
     while True:
         caller.send(data, record)
-        sent += 1
-        if rate:
-            time.sleep(max(0.0, began + sent / rate - time.monotonic()))
 
 
 def throw_away(link: socket.socket) -> None:
