@@ -7,10 +7,10 @@ import socket
 from collections.abc import Sequence
 
 from lfield.errors import AddressError, UsageError
-from lfield.net.paths.attempts import socket_text
 from lfield.net.paths.listener import bound
 from lfield.net.paths.names import numbers_of
 from lfield.net.paths.reasons import refusal
+from lfield.net.stream import socket_address
 from lfield.net.transport import split_address
 
 
@@ -79,7 +79,7 @@ def reserve(address: str) -> tuple[socket.socket, str]:
             reserved.setblocking(True)
             reserved.listen()
             reserved.set_inheritable(True)
-            return reserved, socket_text(reserved.getsockname())
+            return reserved, socket_address(reserved.getsockname())
     except (OSError, UnicodeError) as error:
         refused = error
     raise AddressError(address, refusal(refused or OSError(errno.EADDRNOTAVAIL, ""))) from None

@@ -17,15 +17,15 @@ from contextlib import suppress
 from lfield.authority.admission import Admission
 from lfield.authority.identity import Identity
 from lfield.clock import Clock
-from lfield.errors import AddressError, KeysError, OverBudget, WireError
+from lfield.errors import AddressError, KeysError, WireError
 from lfield.loop import spare_descriptors, spawn
 from lfield.net.greeting import Greeting
 from lfield.net.guests import Guests
 from lfield.net.owner import Complaints, Owner
-from lfield.net.paths.bars import Bars
 from lfield.net.paths.dialler import Dialler
 from lfield.net.session import Session
 from lfield.net.transport import Link, Listener, Transport
+from lfield.net.waiting.bars import Bars
 from lfield.wire.coordinators import Transfer
 from lfield.wire.framing import Buffer
 from lfield.wire.messages import Control, Hello, Ping, Pong, Revocations
@@ -74,8 +74,8 @@ class Peers:
         self._needed: dict[str, float] = {}
         #: Those that call, by host.
         self._callers: dict[str, Dialler] = {}
-        #: The hosts that sent too much.
-        self._bars = Bars()
+        #: When each last called, and the hosts that sent too much.
+        self._came, self._bars = dict[str, float](), Bars()
         self._links: dict[str, Session] = {}
         self._tasks: list[asyncio.Task[None]] = []
         self._listeners: list[Listener] = []
@@ -132,8 +132,10 @@ class Peers:
     def close(self) -> None:
         """Close the port and every link."""
         self._wanted, self._needed = frozenset(), {}
-        for work in (*self._tasks, *self._callers.values()):
-            work.cancel()
+        for task in self._tasks:
+            task.cancel()
+        for caller in self._callers.values():
+            caller.cancel()
         for listener in self._listeners:
             listener.close()
         for session in list(self._links.values()):
@@ -191,21 +193,20 @@ class Peers:
     def _call(self, host: str) -> None:
         if host in self._links or (self._is_called_by(host) and not self._is_missed(host)):
             return
-        number = self._numbers[host]
         caller = self._callers.get(host)
         if caller is None or caller.is_over:
-            made = Dialler(self, self._transport, self._clock, host, self._addresses[number])
-            self._callers[host] = made
+            at, note = self._addresses[self._numbers[host]], self._owner.note
+            self._callers[host] = Dialler(self, self._transport, self._clock, host, at, note)
 
     def _is_called_by(self, host: str) -> bool:
         """Whether a host is a neighbour that stands before this one: it calls."""
         return host in self._near and self._numbers[host] < self._here
 
     def _is_missed(self, host: str) -> bool:
-        """Whether a host has had no link for so long that both of the two call: it may not find this one, as
-        when this computer has another network card now."""
+        """Whether a host has neither had a link nor called for so long that both of the two call: it may not
+        find this one, as when this computer has another network card now."""
         now = self._clock.monotonic()
-        return now - self.away.get(host, now) >= BOTH_CALL_AFTER
+        return now - max(self.away.get(host, now), self._came.get(host, 0.0)) >= BOTH_CALL_AFTER
 
     # --- what diallers ask ----------------------------------------------------------------------------
 
@@ -213,23 +214,12 @@ class Peers:
         """See `Diallers.link_of`."""
         return self._links.get(host)
 
-    def new_session(self, host: str) -> Session:
-        """See `Diallers.new_session`."""
-        return Session(self, dialled=host)
-
     def barred_for(self, host: str) -> float:
         """For how many seconds a host is not accepted, since it has sent too much."""
         return self._bars.left(host, self.now())
 
     def called(self, host: str) -> None:
-        """A host was called, whatever came of it."""
-        self._heard_of(host)
-
-    def note(self, text: str) -> None:
-        """A line for the log."""
-        self._owner.note(text)
-
-    def _heard_of(self, host: str) -> None:
+        """A host was called, whatever came of it, or has greeted."""
         self._unheard.discard(host)
         if not self._unheard:
             self._all_heard.set()
@@ -279,6 +269,8 @@ class Peers:
 
     def new_greeting(self, dialled: str | None, who: Identity) -> Greeting:
         """The greeting for a new link."""
+        if dialled is None:
+            self._came[who.name] = self.now()
         return Greeting(
             self._admission.signed(self._owner.hello()),
             who,
@@ -357,7 +349,7 @@ class Peers:
         if caller := self._callers.get(hello.host):
             caller.has_failed = False
         self._owner.linked(hello)
-        self._heard_of(hello.host)
+        self.called(hello.host)
 
     def gone(self, session: Session) -> None:
         """A link is closed."""
@@ -385,22 +377,13 @@ class Peers:
             assert hello is not None
             self._owner.received(hello.host if hello.role == "host" else "", message, session.link)
 
-    def on_excess(self, session: Session, error: OverBudget) -> None:
-        """A host sends more than its messages may cost; where that is for too long, its link is closed."""
-        who, host = session.link.who, session.link.who.name
-        if not error.closes:
-            self._owner.note(
-                f"{who} at {session.caller} sends too much: {error}; they are taken more slowly, and after "
-                f"{error.seconds:g} s the link is closed"
-            )
-            return
-        wait = self._bars.bar(host, self.now())
-        self._owner.note(
-            f"{who} at {session.caller} sends too much: {error}; the link is closed, and {host} is accepted "
-            f"again after {wait:g} s"
-        )
-        session.dismiss(f"{host} sends too much: it is accepted again after {wait:g} s")
-        self.gone(session)
+    def bar(self, host: str) -> float:
+        """A host has sent too much: do not accept it for a while; for how many seconds."""
+        return self._bars.bar(host, self.now())
+
+    def note(self, text: str) -> None:
+        """A line for the log."""
+        self._owner.note(text)
 
     @property
     def on_arrival(self) -> Callable[[str, Transfer, memoryview], None]:

@@ -8,7 +8,7 @@ from contextlib import suppress
 from typing import TYPE_CHECKING, NoReturn, Protocol
 
 from lfield.errors import AddressError, GreetingError, LfieldError, OverBudget
-from lfield.net.paths.bars import LONGEST_BAR
+from lfield.net.waiting.bars import LONGEST_BAR
 from lfield.wire.coordinators import Transfer
 from lfield.wire.messages import Control, Hello, Message, Ping, Refuse
 
@@ -58,8 +58,11 @@ class Sessions(Protocol):
     def complain(self, text: str) -> None:
         """A line for the log, once."""
 
-    def on_excess(self, session: Session, error: OverBudget) -> None:
-        """A host sends more than its messages may cost."""
+    def note(self, text: str) -> None:
+        """A line for the log."""
+
+    def bar(self, host: str) -> float:
+        """A host has sent too much: do not accept it for a while; for how many seconds."""
 
     def barred_for(self, host: str) -> float:
         """For how many seconds a host is not accepted, since it has sent too much."""
@@ -187,10 +190,22 @@ class Session:
         return hello.host
 
     def on_excess(self, link: Link, error: OverBudget) -> None:
-        """A host is over its budget, greeted or not."""
-        # A handshake can be what was too much.
-        self.link = link
-        self._peers.on_excess(self, error)
+        """A host sends more than its messages may cost; where that is for too long, its link is closed.
+
+        It may not have greeted: handshakes can be what is too much.
+        """
+        self.link, who = link, link.who
+        if not error.closes:
+            self._peers.note(
+                f"{who} at {self.caller} sends too much: {error}; they are taken more slowly, and after "
+                f"{error.seconds:g} s the link is closed"
+            )
+            return
+        wait = self._peers.bar(who.name)
+        then = f"{who.name} is accepted again after {wait:g} s"
+        self._peers.note(f"{who} at {self.caller} sends too much: {error}; the link is closed, and {then}")
+        self.dismiss(f"{who.name} sends too much; {then}")
+        self._peers.gone(self)
 
     def on_closed(self, link: Link, error: LfieldError | None) -> None:
         """The end of the link."""

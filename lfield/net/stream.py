@@ -10,7 +10,7 @@ from lfield.authority.identity import STRANGER, Identity
 from lfield.errors import AddressError, LfieldError, OverBudget, WireError
 from lfield.net.door import caller_at, host_at
 from lfield.net.framed import FramedLink
-from lfield.net.paths.attempts import socket_text
+from lfield.net.transport import join_address
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -307,7 +307,16 @@ def nobody_known(address: str) -> Identity:
 
 
 def socket_address(name: str | tuple[str, int] | tuple[str, int, int, int]) -> str:
-    """The address of a socket, as transports have them."""
+    """The address of a socket, as transports have them: IPv6 in brackets, with its zone if it has one."""
     if isinstance(name, str):
         return f"{UNIX}{name}" if name else CALLER
-    return socket_text(name)
+    host, port, zone = name[0], name[1], name[3] if len(name) == 4 else 0
+    if host.startswith("::ffff:") and "." in host:
+        # Of a socket for both families.
+        host = host.removeprefix("::ffff:")
+    if zone and "%" not in host:
+        try:
+            host = f"{host}%{socket.if_indextoname(zone)}"
+        except OSError:
+            host = f"{host}%{zone}"
+    return join_address(host, port)

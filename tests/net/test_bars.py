@@ -1,6 +1,6 @@
 """For how long a member that sent too much is not accepted again."""
 
-from lfield.net.paths.bars import FIRST_BAR, FORGOTTEN_AFTER, LONGEST_BAR, Bars
+from lfield.net.waiting.bars import FIRST_BAR, FORGOTTEN_AFTER, LONGEST_BAR, Bars
 
 
 def test_each_time_it_is_twice_as_long_and_never_over_the_longest():

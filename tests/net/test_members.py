@@ -1,4 +1,4 @@
-"""Links of members: what is taken of them in one turn of the loop, who comes first, and when a link is closed.
+"""Links of members: what one turn of the loop takes of them, who comes first, when a link is closed.
 
 The links are real ones. Between them are no sockets, and time jumps.
 """

@@ -1,4 +1,4 @@
-"""Ways to a host: names that lead elsewhere, addresses that do not answer, listeners that follow; on loopback."""
+"""Ways to a host on loopback: names that lead elsewhere, silent addresses, listeners that follow."""
 
 from __future__ import annotations
 
@@ -13,9 +13,10 @@ from lfield.errors import AddressError, NobodyListens
 from lfield.net.local import insist_on_free, reserve
 from lfield.net.paths import listener as listeners
 from lfield.net.paths import names
-from lfield.net.paths.attempts import STAGGER, socket_text
+from lfield.net.paths.attempts import STAGGER
 from lfield.net.paths.dialler import LAST_RETRY, NEWS_AFTER, Dialler
 from lfield.net.paths.names import MOST_LOOKUPS, Found, looked_up
+from lfield.net.stream import socket_address
 from lfield.net.tcp import TcpTransport
 from lfield.net.transport import is_lasting
 from lfield.simulate.time import LoopClock, run_jumping
@@ -185,7 +186,7 @@ def test_what_stays_what_it_is(host, lasting):
     ],
 )
 def test_an_address_is_written_as_it_can_be_given(name, text):
-    assert socket_text(name) == text
+    assert socket_address(name) == text
 
 
 # Attempts
@@ -244,7 +245,9 @@ def test_the_address_of_all_interfaces_takes_both_families(run):
     async def story():
         there, accepted = await listening("[::]:0")
         port = there.address.rpartition(":")[2]
-        links = [await TcpTransport(MAX_BLOCK).connect(f"{a}:{port}", Recorder()) for a in ("127.0.0.1", "[::1]")]
+        links = [
+            await TcpTransport(MAX_BLOCK).connect(f"{a}:{port}", Recorder()) for a in ("127.0.0.1", "[::1]")
+        ]
         await until(lambda: len(accepted) == 2)
         for opened in (*links, there):
             opened.close()
@@ -324,11 +327,8 @@ class Caller:
     def link_of(self, host):
         return None
 
-    def new_session(self, host):
-        class Nobody:
-            linked = connected = False
-
-        return Nobody()
+    def now(self):
+        return 0.0
 
     def barred_for(self, host):
         left, self.barred = self.barred, 0.0
@@ -336,9 +336,6 @@ class Caller:
 
     def called(self, host):
         pass
-
-    def note(self, text):
-        self.notes.append(text)
 
     async def connect(self, address, handler):
         now = asyncio.get_running_loop().time()
@@ -351,7 +348,7 @@ def test_who_does_not_answer_is_called_every_second_and_each_result_is_told_once
 
     async def story():
         caller = Caller(errors)
-        dialler = Dialler(caller, caller, LoopClock(), "bravo", "b:1")
+        dialler = Dialler(caller, caller, LoopClock(), "bravo", "b:1", caller.notes.append)
         await asyncio.sleep(NEWS_AFTER - 0.1)
         assert caller.notes == []
         await asyncio.sleep(60.0)
@@ -369,7 +366,7 @@ def test_who_is_barred_is_not_called_meanwhile():
     async def story():
         caller = Caller([AddressError("b:1", "no answer")])
         caller.barred, began = 8.0, asyncio.get_running_loop().time()
-        dialler = Dialler(caller, caller, LoopClock(), "bravo", "b:1")
+        dialler = Dialler(caller, caller, LoopClock(), "bravo", "b:1", caller.notes.append)
         await asyncio.sleep(9.0)
         dialler.cancel()
         assert caller.calls[0] == pytest.approx(began + 8.0)

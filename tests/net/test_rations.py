@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -23,7 +22,7 @@ READ = 4096
 
 
 class Computer:
-    """Takes the messages of members as `Rations` says; each has a queue, and time is what taking them costs."""
+    """Takes the messages of members as `Rations` says; time is what taking them costs."""
 
     def __init__(self) -> None:
         self.rations, self.now = Rations(), 100.0

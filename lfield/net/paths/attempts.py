@@ -1,4 +1,4 @@
-"""Connects to whichever address of a host answers first: one that does not answer keeps none of the others."""
+"""Connects to whichever address of a host answers first: one that is silent delays no other."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ from collections import deque
 from collections.abc import Sequence
 
 from lfield.net.paths.names import Found
-from lfield.net.transport import join_address
 
 #: Seconds until the next address is tried beside those that have not answered (RFC 8305, section 5).
 STAGGER = 0.25
@@ -52,25 +51,6 @@ async def first_connected(
                 _close(task)
 
 
-def in_words(found: Found) -> str:
-    """An address for sentences, with its zone."""
-    return socket_text(found.address)
-
-
-def socket_text(name: tuple[str, int] | tuple[str, int, int, int]) -> str:
-    """The address of a socket as transports write it: "host:port", IPv6 in brackets, with its zone."""
-    host, port, zone = name[0], name[1], name[3] if len(name) == 4 else 0
-    if host.startswith("::ffff:") and "." in host:
-        # Of a socket for both families.
-        host = host.removeprefix("::ffff:")
-    if zone and "%" not in host:
-        try:
-            host = f"{host}%{socket.if_indextoname(zone)}"
-        except OSError:
-            host = f"{host}%{zone}"
-    return join_address(host, port)
-
-
 async def _connected(found: Found) -> socket.socket:
     """A socket that is connected. Not by `sock_connect` of the loops: those forget the zone of an address."""
     made = socket.socket(found.family, socket.SOCK_STREAM)
@@ -91,7 +71,12 @@ async def _connected(found: Found) -> socket.socket:
 async def _writable(made: socket.socket) -> None:
     loop = asyncio.get_running_loop()
     done: asyncio.Future[None] = loop.create_future()
-    loop.add_writer(made.fileno(), lambda: done.done() or done.set_result(None))
+
+    def ready() -> None:
+        if not done.done():
+            done.set_result(None)
+
+    loop.add_writer(made.fileno(), ready)
     try:
         await done
     finally:

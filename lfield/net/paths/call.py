@@ -7,9 +7,10 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from lfield.errors import AddressError, LfieldError
-from lfield.net.paths.attempts import first_connected, in_words
+from lfield.net.paths.attempts import first_connected
 from lfield.net.paths.names import Found, looked_up
 from lfield.net.paths.reasons import refusal
+from lfield.net.stream import socket_address
 from lfield.net.transport import is_number, split_address
 
 if TYPE_CHECKING:
@@ -64,8 +65,8 @@ class Call:
         self._unanswered |= self._failures.keys()
         if self._is_number or not self._count:
             return why
-        parts = [f"{in_words(at)}: {_in_words(error)}" for at, error in self._failures.items()]
-        return "; ".join([*parts, *(f"{in_words(at)}: {why}" for at in self._left)])
+        parts = [f"{socket_address(at.address)}: {_in_words(error)}" for at, error in self._failures.items()]
+        return "; ".join([*parts, *(f"{socket_address(at.address)}: {why}" for at in self._left)])
 
     def _fail(self, at: Found, error: Exception) -> None:
         self._failures[at] = error

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable
 from typing import TYPE_CHECKING, Protocol
 
 from lfield.clock import Clock
 from lfield.errors import AddressError, GreetingError, WireError
 from lfield.loop import spawn
+from lfield.net.session import Session, Sessions
 
 if TYPE_CHECKING:
-    from lfield.net.session import Session
+    from collections.abc import Callable
+
     from lfield.net.transport import Transport
 
 #: Seconds between two attempts to reach a host: the first wait, and the longest. With the bound of an attempt
@@ -21,7 +22,7 @@ FIRST_RETRY, LAST_RETRY = 0.05, 1.0
 NEWS_AFTER = 3.0
 
 
-class Diallers(Protocol):
+class Diallers(Sessions, Protocol):
     """Who wants hosts to be called."""
 
     def wants(self, host: str) -> bool:
@@ -30,24 +31,23 @@ class Diallers(Protocol):
     def link_of(self, host: str) -> Session | None:
         """The link that counts, if there is one."""
 
-    def new_session(self, host: str) -> Session:
-        """What is to handle the next call."""
-
-    def barred_for(self, host: str) -> float:
-        """For how many seconds a host is not to be called."""
-
     def called(self, host: str) -> None:
         """An attempt is over."""
 
-    def note(self, text: str) -> None:
-        """A line for the log."""
-
 
 class Dialler:
-    """Calls one host, until this is cancelled or its link is not wanted any more."""
+    """Calls one host, until this is cancelled or its link is not wanted any more. `note` is for the log."""
 
-    def __init__(self, owner: Diallers, transport: Transport, clock: Clock, host: str, address: str) -> None:
-        self._owner, self._transport, self._clock = owner, transport, clock
+    def __init__(
+        self,
+        owner: Diallers,
+        transport: Transport,
+        clock: Clock,
+        host: str,
+        address: str,
+        note: Callable[[str], None],
+    ) -> None:
+        self._owner, self._transport, self._clock, self._note = owner, transport, clock, note
         self._host, self._address = host, address
         #: The call that has not been taken yet.
         self.session: Session | None = None
@@ -78,7 +78,7 @@ class Dialler:
                 await asyncio.sleep(barred)
                 continue
             else:
-                session = self.session = self._owner.new_session(self._host)
+                session = self.session = Session(self._owner, dialled=self._host)
                 reason = await self._dial(session)
                 if session.linked:
                     wait = FIRST_RETRY
@@ -117,9 +117,9 @@ class Dialler:
         if reason in self._reported:
             return
         if session.connected:
-            self._owner.note(f"cannot talk to {self._host}: {reason}")
+            self._note(f"cannot talk to {self._host}: {reason}")
         elif self._clock.monotonic() - self._since >= NEWS_AFTER:
-            self._owner.note(
+            self._note(
                 f"{self._host} is not reached at {self._address}: {reason}; it is called every "
                 f"{LAST_RETRY:g} s until it answers"
             )

@@ -10,9 +10,9 @@ from pathlib import Path
 
 from lfield.errors import AddressError
 from lfield.loop import spawn
-from lfield.net.paths.attempts import in_words
 from lfield.net.paths.names import Found, looked_up
 from lfield.net.paths.reasons import refusal
+from lfield.net.stream import socket_address
 from lfield.net.transport import is_lasting, split_address
 
 #: A name, or an address of an interface that may come back as another, is looked at every so many seconds.
@@ -70,7 +70,7 @@ class PortListener:
     def address(self) -> str:
         """Where it listens, with the real port if 0 was asked for; of several the first."""
         server = next(iter(self._servers.values()))
-        return in_words(Found(socket.AF_INET, server.sockets[0].getsockname()))
+        return socket_address(server.sockets[0].getsockname())
 
     def close(self) -> None:
         """Take no more links."""
@@ -94,15 +94,18 @@ class PortListener:
         before = set(self._servers)
         failures = await self._bind([at for at in found if at not in self._servers])
         for at in self._servers.keys() - before:
-            self._note(f"this host listens at {in_words(at)}, too: {self._host} leads there now")
+            self._note(
+                f"this host listens at {socket_address(at.address)}, too: {self._host} leads there now"
+            )
         for at, why in failures.items():
             if self._failures.get(at) != why:
-                self._note(f"this host cannot listen at {in_words(at)}: {why}; trying again")
+                self._note(f"this host cannot listen at {socket_address(at.address)}: {why}; trying again")
         self._failures = failures
         if not self._servers.keys().isdisjoint(found):
             for at in [at for at in self._servers if at not in found]:
                 self._servers.pop(at).close()
-                self._note(f"this host no longer listens at {in_words(at)}: {self._host} leads elsewhere now")
+                old = socket_address(at.address)
+                self._note(f"this host no longer listens at {old}: {self._host} leads elsewhere now")
 
     async def _bind(self, found: list[Found]) -> dict[Found, str]:
         """Listen at addresses; why it could not, where it could not."""

@@ -75,7 +75,7 @@ class Rations:
         self._accounts: dict[str, _Account] = {}
 
     def on_work(self, member: str, seconds: float, now: float, weight: int = 0) -> Standing:
-        """Messages of a member have taken `seconds`; `weight` is that of what was taken of its read so far."""
+        """Messages of a member have taken `seconds`; what was taken of its read so far has that `weight`."""
         account = self._account(member, now)
         account.level = min(account.level + max(0.0, seconds), ALLOWANCE + BEYOND)
         if weight >= CROWD:

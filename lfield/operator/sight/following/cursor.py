@@ -13,9 +13,8 @@ _NO_LIFE = 1
 #: What states are called that a host has no more.
 STATE = "state"
 
-#: Seconds before a host is called again: after a link that held, at most, and at most where it did not answer.
-#: With the time after which a silent link is given up, a host is followed again within 10 s after the path
-#: works.
+#: Seconds before a host is called again: after a link that held, at most, and at most when it was silent.
+#: With the time after which a silent link is given up, it is followed again within 10 s after the path works.
 SOONEST, LATEST, LATEST_UNHEARD = 0.25, 5.0, 2.0
 
 

@@ -11,20 +11,12 @@ from collections.abc import Awaitable, Callable, Sequence
 from typing import Protocol
 
 from lfield.clock import Clock
-from lfield.errors import (
-    AddressError,
-    GreetingError,
-    KeysError,
-    LfieldError,
-    NobodyListens,
-    OverBudget,
-    WireError,
-)
+from lfield.errors import AddressError, GreetingError, KeysError, LfieldError, NobodyListens
 from lfield.net.greeting import Greeting
 from lfield.net.transport import Link, Transport
 from lfield.operator.ask import Brought
+from lfield.operator.observing import ObserverLink
 from lfield.operator.sight.following.cursor import Cursor
-from lfield.wire.coordinators import Transfer
 from lfield.wire.messages import Hello, Message, Refuse, Revocations
 from lfield.wire.watching import Events, Seen
 
@@ -111,7 +103,7 @@ class Follower:
                 link.abort()
 
 
-class Watching:
+class Watching(ObserverLink):
     """The handler of one link: greets, watches, hands on what comes, and says that it was read."""
 
     def __init__(
@@ -183,17 +175,6 @@ class Watching:
             self._over(f"nothing was heard of it for {silent:.0f} s")
             return
         self._timer = asyncio.get_running_loop().call_later(LOOK, self._look)
-
-    def on_transfer(self, link: Link, header: Transfer, block: memoryview) -> None:
-        """Nobody sends one to an observer."""
-        raise WireError("a coordinator was sent to an observer")
-
-    def on_oversize(self, link: Link, header: Transfer, size: int) -> None:
-        """Nor a larger one."""
-        raise WireError("a coordinator was sent to an observer")
-
-    def on_excess(self, link: Link, error: OverBudget) -> None:
-        """A host sends more than this computer can show: it is read more slowly, and closed in the end."""
 
     def on_closed(self, link: Link, error: LfieldError | None) -> None:
         """The link is gone."""

@@ -72,7 +72,9 @@ def test_a_member_that_floods_keeps_nobody_out_and_is_named(lfield, alone, kind)
         linked = flood.next("linked")
         lfield.start(*up, "charlie", env=alone)
         alpha.wait_for("greeted")
-        alpha.wait_for(r"host bravo at 127\.0\.0\.1 sends too much: .* the link is closed, and bravo is accept")
+        alpha.wait_for(
+            r"host bravo at 127\.0\.0\.1 sends too much: .* the link is closed, and bravo is accept"
+        )
         if kind != "handshakes":
             assert flood.next("closed") - linked >= 5.0
         flood.next("refused")
