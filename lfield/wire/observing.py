@@ -263,13 +263,13 @@ class Pause(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, ta
     lift: bool = False
 
 
-class StartRequest(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=20):
+class StartRequest(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=37):
     """From an observer: start the coordinators that wait, and do not wait for the hosts in `without`."""
 
     without: Annotated[list[Name], Meta(max_length=4096)] = []
 
 
-class StartResponse(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=21):
+class StartResponse(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=38):
     """The answer: the coordinators that were `started` by that request, and what others of this host still
     wait for, None where none does. `trouble` is why nothing was done, '' where it was."""
 
