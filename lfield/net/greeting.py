@@ -154,8 +154,8 @@ class Greeting:
             part = f", which differ in their {different}" if different else ""
             self._refuse(
                 f"{self.own.host} runs bundle {short_digest(ours)} and {hello.host} runs bundle "
-                f"{short_digest(theirs)}{part}: copy one of the two to both, and give a robot what is its own "
-                "with --devices"
+                f"{short_digest(theirs)}{part}: copy one of the two to both, and give a robot what is its "
+                "own with --devices"
             )
         self._refuse(remedy)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
@@ -18,8 +19,14 @@ from lfield.wire.observing import Status
 
 PROGRAM = """
 resource Post {
+    int count;
     init(string[] arg) { }
-    portal work(real seconds) emit int { write("works\\n"); sleep(seconds); return 1; }
+    portal work(real seconds) emit int {
+        count = count + 1;
+        write("works\\n");
+        sleep(seconds);
+        return count;
+    }
 }
 coordinator Boss {
     init(string[] arg) {
@@ -155,7 +162,7 @@ def test_the_log_names_what_is_waited_for_at_once_and_then_ever_more_rarely(tmp_
     assert said(fleet, line, "alpha") == 1
     fleet.run(1200.0)
     times = [at for at, _, text in fleet.log if line in text]
-    gaps = [later - at for at, later in zip(times, times[1:], strict=False)]
+    gaps = [later - at for at, later in pairwise(times)]
     assert gaps[0] == pytest.approx(10.0, rel=0.1)
     assert gaps[-1] == pytest.approx(300.0, rel=0.1)
     assert len(times) < 12

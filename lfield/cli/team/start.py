@@ -51,7 +51,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _check_hosts(without: list[str], parties: list[Party]) -> None:
-    """Raises UsageError for a host that none of the teams has: a name with a typing error leaves nobody out."""
+    """Raises UsageError for a host that none of the teams has: a misspelt name leaves nobody out."""
     hosts = sorted({place.host for party in parties for place in party.places})
     for host in without:
         if host not in hosts:

@@ -80,8 +80,8 @@ def _starts(answers: Answers[Status]) -> list[str]:
         elif start.hosts:
             options = " ".join(f"--without {missing}" for missing in start.hosts[:MOST_NAMED])
             lines.append(
-                f"{who}: waiting for {listed(start.hosts)}; start them, or let the mission begin without them: "
-                f"'lfield start {options}'"
+                f"{who}: waiting for {listed(start.hosts)}; start them, or let the mission begin without "
+                f"them: 'lfield start {options}'"
             )
     return lines
 

@@ -17,7 +17,7 @@ from lfield.mission.mission import ON_GROUND, Mission
 from lfield.mobility.effects import Send
 from lfield.mobility.hearsay import Hearsay
 from lfield.mobility.starts import Starts
-from lfield.text.suggest import did_you_mean
+from lfield.text.suggest import did_you_mean, listed
 from lfield.wire.coordinators import Known
 from lfield.wire.observing import StartResponse, StartStatus, Status, StatusRequest
 
@@ -134,7 +134,7 @@ class Beginning:
         return [agent for agent in self.own if not self._why_not(agent, known)]
 
     def _is_held_back(self) -> bool:
-        """Whether a new start has to wait for hosts, for the vehicles of an earlier start, or for a person."""
+        """Whether a new start has to wait: for hosts, for vehicles of an earlier start, or for a person."""
         agents = self._new()
         if not agents:
             return False
@@ -201,7 +201,8 @@ class Beginning:
         lacking = [host for host in self.readiness.missing if host in gone]
         if not (self._starts.is_waiting and lacking):
             return {}
-        why = f"it was not started, since {' and '.join(lacking)} {'has' if len(lacking) == 1 else 'have'} ended"
+        ended = f"{listed(lacking)} {'has' if len(lacking) == 1 else 'have'} ended"
+        why = f"it was not started, since {ended}"
         return dict.fromkeys(self._new(), why)
 
     def _waits(self) -> bool:
