@@ -90,6 +90,7 @@ class HostCore:
             mission.program, everybody, self.here, incarnation, self.world, clock, dice, fenced, engines
         )
         machine.attached.rules = mission.calls
+        machine.attached.is_silent = lambda member: absent.is_silent(self.team.hosts[member.host])
         own = self._hello([])
         self._hops = hops = Hops(teller, machine, name, self.team)
         self.coordinators = team = Coordinators(

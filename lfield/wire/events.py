@@ -238,10 +238,10 @@ class Refused(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, 
 
 class Waits(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag="waits"):
     """Coordinators of this host are not started yet: their start waits for those `hosts`, or is `held` for
-    that reason until an operator's command. No `agents`: none waits any more."""
+    that reason until an operator's command. Commas separate names; no `agents`: none waits any more."""
 
-    agents: Annotated[list[Name], Meta(max_length=4096)]
-    hosts: Annotated[list[Name], Meta(max_length=4096)]
+    agents: Text
+    hosts: Text
     held: Text = ""
 
 

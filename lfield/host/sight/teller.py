@@ -265,7 +265,7 @@ class Teller:
 
     def waits(self, agents: Sequence[str], hosts: Sequence[str], held: str) -> None:
         """Coordinators are not started yet, since their start waits; none waits any more without any."""
-        self.event(events.Waits(list(agents), list(hosts), clip(held)))
+        self.event(events.Waits(clip(", ".join(agents)), clip(", ".join(hosts)), clip(held)))
 
     def stopped(self, by: str, reason: str, *, lifted: bool) -> None:
         """Somebody has pressed the emergency stop, or lifted it."""

@@ -366,7 +366,7 @@ def _stands(host: _Host, what: object, when: float) -> None:
             if reason:
                 host.refused[peer] = reason
         case events.Waits(_, hosts, held):
-            host.waits_for, host.start_held = tuple(hosts), held
+            host.waits_for, host.start_held = tuple(filter(None, hosts.split(", "))), held
         case events.Linked(peer):
             host.reaches[peer] = True
             host.away.pop(peer, None)
