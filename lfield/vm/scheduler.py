@@ -39,7 +39,7 @@ from lfield.vm.world import World
 
 T = TypeVar("T")
 #: A block that ends so many seconds after its time limit is told as late.
-LATE = 0.1
+LATE = 0.2
 
 
 class Scheduler:

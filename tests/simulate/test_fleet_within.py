@@ -65,7 +65,7 @@ def island(host: str, *, quietly: bool = False) -> Event:
 
 
 def ends(folder: Path, body: str, script: dict[float, Event], within: float = 60.0) -> tuple[float, str]:
-    """After how many seconds the block has ended, and how; the script has events by seconds since it began."""
+    """After how many seconds the block has ended, and how; events are by seconds since then."""
     (folder / "mission.L").write_text(PROGRAM.replace("//body", body))
     (folder / "mission.dL").write_text(TEAM)
     fleet = Fleet(load_mission(folder / "mission.dL", simulate=True), 1)

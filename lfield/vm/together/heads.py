@@ -191,12 +191,12 @@ class Together:
 
     def _departs_in_time(self, agent: Agent, thread: int, state: int) -> bool:
         """As `_departs`; but who is over its time limit goes to no host that it cannot reach at once."""
-        if not self._limits.is_block_over(agent):
-            return self._departs(agent, thread, state)
         is_silent = self._scheduler.attached.is_silent
+        if is_silent is None or not self._limits.is_block_over(agent):
+            return self._departs(agent, thread, state)
         while away := self._visits.away(self._visits.tickets(agent, thread), state):
             target = self._visits.resource(away[0])
-            if is_silent is None or not is_silent(target):
+            if not is_silent(target):
                 self._departs(agent, thread, state)
                 if not (agent.frozen and self._scheduler.world.give_up(agent)):
                     return True
