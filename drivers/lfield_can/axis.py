@@ -87,14 +87,18 @@ class CanAxis(Device):
 
     async def watch(self) -> None:
         """Tell when the device is lost and found; bring it back standing still; poll it."""
+        told = ""
         while True:
             await asyncio.sleep(LOOK)
             if not self._opened:
                 continue
             try:
                 await self._look()
+                told = ""
             except DeviceError as error:
-                self.note(f"{error.reason}; trying again")
+                if error.reason != told:
+                    self.note(f"{error.reason}; trying again")
+                told = error.reason
                 await asyncio.sleep(POLL)
 
     async def _look(self) -> None:
@@ -309,6 +313,8 @@ class CanAxis(Device):
 
     def _check_set_up(self, what: str) -> None:
         self._check_heard()
+        if self.protocol.conflict:
+            raise self.error(f"{what} refused: {self.protocol.conflict}")
         if self.protocol.needs_setup:
             raise self.error(f"{what} refused: the device has restarted and is being set up again")
 

@@ -7,7 +7,9 @@ encoding of values are `canopen`'s.
 from __future__ import annotations
 
 import asyncio
+import struct
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 
 import canopen
 from canopen.objectdictionary import ODArray, ODRecord, ODVariable
@@ -16,7 +18,8 @@ from canopen.sdo.exceptions import SdoAbortedError
 from lfield.driver import DeviceError
 from lfield_can.bus.frames import Frame
 from lfield_can.protocols.cia402_tables import OBJECTS, SDO_REQUEST, name_of
-from lfield_can.protocols.sdo import ABORT, Done, Effect, Failed, Refused, Result, SdoClient, Send
+from lfield_can.protocols.roll_call import GAP, RollCall
+from lfield_can.protocols.sdo import ABORT, Done, Effect, Failed, Key, Refused, Result, SdoClient, Send
 
 #: The request for object 0x1000.
 PING = bytes.fromhex("4000100000000000")
@@ -41,7 +44,7 @@ class CanopenNode:
         self._client, self._turn = SdoClient(), asyncio.Lock()
         self._result: asyncio.Future[Result] | None = None
         self._timer: asyncio.TimerHandle | None = None
-        self._requests = self._answers = 0
+        self._roll_call: RollCall | None = None
         #: Called with every object that was written, and its bytes.
         self.on_written: Callable[[int, int, bytes], None] = lambda index, subindex, data: None
 
@@ -58,7 +61,8 @@ class CanopenNode:
 
     def on_answer(self, data: bytes) -> None:
         """A frame of the node's SDO server."""
-        self._answers += 1
+        if self._roll_call is not None and (key := _key_of(data)) is not None:
+            self._roll_call.on_answer(key)
         self._do(self._client.answered(data))
 
     async def read(self, index: int, subindex: int = 0) -> int:
@@ -98,10 +102,17 @@ class CanopenNode:
         """Whether the object dictionary has the object."""
         return self._find(index, subindex) is not None
 
-    @property
-    def doubled(self) -> bool:
-        """Whether more answers came than were asked for: two nodes have this id."""
-        return self._answers > self._requests
+    async def is_doubled(self) -> bool:
+        """Whether two nodes answer to this id: a few questions, a fraction of a second."""
+        self._roll_call = roll_call = RollCall()
+        try:
+            while (key := roll_call.next_key()) is not None:
+                with suppress(DeviceError):  # it has no such object, or the answer was lost
+                    await self.read_raw(*key)
+                await asyncio.sleep(GAP)
+        finally:
+            self._roll_call = None
+        return roll_call.is_doubled
 
     def close(self) -> None:
         """The driver ends: what is under way gets no answer."""
@@ -140,7 +151,8 @@ class CanopenNode:
             self._send(effect.data)
 
     def _send(self, request: bytes) -> None:
-        self._requests += request[0] != ABORT
+        if self._roll_call is not None and request[0] != ABORT and (key := _key_of(request)) is not None:
+            self._roll_call.on_request(key)
         self._post(Frame(SDO_REQUEST + self._id, request))
 
     def _end(self, result: Result) -> None:
@@ -180,6 +192,14 @@ class CanopenNode:
 
     def _label(self, index: int, subindex: int) -> str:
         return f"{name_of(index, subindex)} 0x{index:04X}:{subindex}"
+
+
+def _key_of(frame: bytes) -> Key | None:
+    """Which object a frame of either side is about, where it says so."""
+    if len(frame) != 8:
+        return None
+    _, index, subindex = struct.unpack_from("<BHB", frame)
+    return index, subindex
 
 
 def standard_dictionary() -> canopen.ObjectDictionary:

@@ -364,14 +364,3 @@ def test_it_reads_what_cantools_reads(tmp_path):
                 assert ours.problem(Frame(message.frame_id, data))
                 continue
             assert ours.decode(Frame(message.frame_id, data))[1] == pytest.approx(values)
-
-
-def test_nothing_beyond_the_range_of_the_file_is_sent(read):
-    file = read(
-        HEAD + 'BO_ 5 M: 8 X\n SG_ x : 0|8@1+ (10,0) [5|95] "" X\n SG_ y : 8|8@1+ (10,0) [3|4] "" X\n'
-    )
-    signal = file.signal("M", "x")
-    assert [signal.to_raw(x) for x in (5.0, 14.0, 95.0)] == [1, 1, 9]
-    for name, value in (("x", 4.0), ("x", 96.0), ("y", 3.5)):
-        with pytest.raises(ValueError, match=f"{name} cannot be"):
-            file.signal("M", name).to_raw(value)

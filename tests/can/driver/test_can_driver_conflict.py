@@ -1,0 +1,231 @@
+"""Two devices with one id are seen and named; a foreign frame, or a tool that reads, is no second one."""
+
+from __future__ import annotations
+
+import asyncio
+import random
+import re
+import struct
+
+import pytest
+from can_local_drive import LocalDrive
+from hypothesis import given
+from hypothesis import strategies as st
+
+from lfield.errors import DeviceError
+from lfield_can.bus.frames import Frame
+from lfield_can.protocols.roll_call import ASKED, PROOF, RollCall
+
+NODE = 5
+TWO = r"two devices answer to this node id \(5\)"
+
+
+class Wire:
+    """The bus of a bench with drives that all hear every frame, and frames that get lost."""
+
+    def __init__(self, bus, loss: float = 0.0, seed: int = 1) -> None:
+        self.bus, self.loss, self.dice = bus, loss, random.Random(seed)
+        self.drives: list[LocalDrive] = []
+        self.echoes = False
+        bus.device = self.on_frame
+
+    def on_frame(self, frame: Frame) -> None:
+        if self.echoes:
+            self.bus.say(frame.id, frame.data)
+        for drive in self.drives:
+            if self.dice.random() >= self.loss:
+                drive.on_frame(frame)
+
+    def say(self, identifier: int, data: bytes) -> None:
+        if identifier != 0x580 + NODE or self.dice.random() >= self.loss:
+            self.bus.say(identifier, data)
+
+    def join(self) -> LocalDrive:
+        """One more drive with power."""
+        drive = LocalDrive(NODE)
+        drive.bus = self
+        drive.attach()
+        self.bus.device = self.on_frame
+        self.drives.append(drive)
+        return drive
+
+    def restart(self, drive: LocalDrive) -> None:
+        drive.restart()
+        self.bus.device = self.on_frame
+
+    def read(self, index: int, subindex: int = 0) -> None:
+        """Another client reads an object."""
+        request = struct.pack("<BHBI", 0x40, index, subindex, 0)
+        self.bus.say(0x600 + NODE, request)
+        self.on_frame(Frame(0x600 + NODE, request))
+
+    @property
+    def device(self):
+        return self.bus.device
+
+    @device.setter
+    def device(self, handler) -> None:
+        pass
+
+
+@pytest.fixture
+def rig(bench, drive, bus):
+    def make(**given):
+        wire = Wire(bus, **given)
+
+        async def live() -> None:
+            wire.join()
+            await asyncio.Event().wait()
+
+        b = bench(drive()("virtual:test"), bus=bus, fakes=[live])
+        b.wire = wire
+        return b
+
+    return make
+
+
+def answer(index: int, subindex: int = 0, value: int = 7) -> bytes:
+    return struct.pack("<BHBI", 0x43, index, subindex, value)
+
+
+async def restarts(b, axis) -> None:
+    """The drive loses its power for a moment, and is set up again."""
+    before = sum("set up again" in note for note in b.notes)
+    b.wire.restart(b.wire.drives[0])
+    await b.until(lambda: sum("set up again" in note for note in b.notes) > before)
+    await axis.execute("enable", [])
+
+
+@pytest.mark.parametrize("foreign", [1, 20])
+def test_answers_that_nobody_here_asked_for_do_not_stop_any_set_up(rig, foreign):
+    b = rig()
+
+    async def mission(axis):
+        for _ in range(foreign):
+            b.bus.say(0x580 + NODE, answer(0x6041))
+            b.bus.say(0x580 + NODE, answer(0x1018, 1))
+        for _ in range(3):
+            await restarts(b, axis)
+
+    b.run(mission)
+    assert not any("two devices" in note for note in b.notes)
+
+
+def test_one_answer_too_many_within_a_set_up_is_no_second_device(rig):
+    b = rig()
+
+    async def mission(axis):
+        said = b.wire.say
+
+        def once_more(identifier, data):
+            said(identifier, data)
+            if identifier == 0x580 + NODE and data[1:3] == bytes([0x18, 0x10]):
+                b.wire.say = said
+                said(identifier, data[:4] + b"\1\2\3\4")
+
+        b.wire.say = once_more
+        await axis.open()
+
+    b.run(mission, opened=False)
+
+
+def test_a_tool_that_reads_the_same_objects_all_the_time_is_no_second_device(rig):
+    b = rig()
+
+    async def mission(axis):
+        async def poll() -> None:
+            while True:
+                for key in ((0x1018, 4), (0x1018, 1), (0x1000, 0), (0x6041, 0)):
+                    b.wire.read(*key)
+                    await asyncio.sleep(0.004)
+
+        polling = asyncio.ensure_future(poll())
+        await restarts(b, axis)
+        polling.cancel()
+
+    b.run(mission)
+    assert not any("two devices" in note for note in b.notes)
+
+
+def test_an_adapter_that_shows_its_own_frames_hides_no_device_and_makes_none(rig):
+    b = rig()
+    b.wire.echoes = True
+
+    async def mission(axis):
+        await restarts(b, axis)
+        b.wire.join()
+        await b.until(lambda: any("two devices" in note for note in b.notes))
+
+    b.run(mission)
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_lost_answers_hide_no_second_device(rig, seed):
+    b = rig(loss=0.25, seed=seed)
+
+    async def mission(axis):
+        b.wire.join()
+        told = ""
+        for _ in range(5):  # with so much lost a set-up may also fail for want of an answer
+            with pytest.raises(DeviceError) as error:
+                await axis.open()
+            told = error.value.reason
+            if error.value.kind != "DeviceTimeoutException":
+                break
+        assert re.search(TWO, told), told
+
+    b.run(mission, opened=False)
+
+
+def test_a_second_device_that_joins_later_is_named_and_nothing_moves(rig):
+    b = rig()
+
+    async def mission(axis):
+        await axis.execute("enable", [])
+        second = b.wire.join()
+        await b.until(lambda: any("two devices" in note for note in b.notes))
+        for call in (["enable"], ["moveTo", 1.0, 1.0], ["setVelocity", 1.0]):
+            with pytest.raises(DeviceError, match=f"{call[0]} refused: {TWO}"):
+                await axis.execute(call[0], call[1:])
+        await asyncio.sleep(10.0)
+        assert sum("two devices" in note for note in b.notes) == 1
+        second.silent = True
+        second.node.nmt.stop_heartbeat()
+        second.task.cancel()
+        b.wire.drives.remove(second)
+        await b.until(lambda: any("set up again" in note for note in b.notes))
+        await axis.execute("enable", [])
+
+    b.run(mission)
+
+
+def test_a_request_of_another_client_is_no_sign_of_life(rig):
+    b = rig()
+
+    async def mission(axis):
+        b.wire.drives[0].silent = True
+        for _ in range(100):
+            b.bus.say(0x600 + NODE, struct.pack("<BHBI", 0x40, 0x6041, 0, 0))
+            await asyncio.sleep(0.1)
+            if not b.values["online"]:
+                return
+        raise AssertionError("it counts as heard")
+
+    b.run(mission)
+
+
+@given(st.lists(st.integers(0, 2), max_size=12), st.lists(st.sampled_from(ASKED), max_size=PROOF - 1))
+def test_a_roll_call_ends_and_single_frames_prove_nothing(lost, foreign):
+    """An answer that was asked for again counts for its question."""
+    roll_call, rounds = RollCall(), 0
+    for key in foreign:
+        roll_call.on_answer(key)
+    while (key := roll_call.next_key()) is not None:
+        times = 1 + (lost[rounds] if rounds < len(lost) else 0)
+        rounds += 1
+        for _ in range(times):
+            roll_call.on_request(key)
+        for _ in range(1 if times == 3 else times):
+            roll_call.on_answer(key)
+    assert rounds <= len(ASKED)
+    assert not roll_call.is_doubled
