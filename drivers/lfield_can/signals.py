@@ -10,14 +10,15 @@ from lfield.driver import Clock, Device, DeviceBinding, DeviceError, Manifest, R
 from lfield_can.bus.bus import Bus
 from lfield_can.bus.frames import Frame
 from lfield_can.dbc import DbcError, DbcFile, Term
+from lfield_can.files import tell_warnings
 from lfield_can.timing import News
 
 #: Seconds between two looks at a device that says nothing.
 LOOK = 0.1
 #: Seconds until the messages of the safe state are sent again, and until the attempt is given up.
 SAFE_AGAIN, SAFE_BY = 0.1, 3.0
-#: Warnings about a file that are told one by one, and kinds of wrong frames of one message.
-WARNINGS, PROBLEMS = 10, 5
+#: Kinds of wrong frames of one message that are told.
+PROBLEMS = 5
 NO_CONFIRMATION = "no_confirmation"
 
 
@@ -62,16 +63,7 @@ class CanSignals(Device):
             self._check_safe()
         except DbcError as error:
             raise self.error(str(error)) from None
-        self._tell_warnings()
-
-    def _tell_warnings(self) -> None:
-        """What of the file is not used."""
-        warnings = sorted(self._file.warnings, key=lambda warning: warning.code)
-        for warning in warnings[:WARNINGS]:
-            place = f"{warning.span.source.name}:{warning.span.line}:{warning.span.column}"
-            self.note(f"{place}: warning[{warning.code}]: {warning.message}; {warning.hint}")
-        if more := len(warnings[WARNINGS:]):
-            self.note(f"{self.binding.option('dbc')}: {more} more warning{'s' * (more != 1)}")
+        tell_warnings(self._file.warnings, option("dbc"), self.note)
 
     def _check_safe(self) -> None:
         """The safe state must be a whole message for each command, and be seen."""

@@ -10,21 +10,28 @@ import asyncio
 import struct
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+from pathlib import Path
 
 import canopen
 from canopen.objectdictionary import ODArray, ODRecord, ODVariable
 from canopen.sdo.exceptions import SdoAbortedError
 
-from lfield.driver import DeviceError
+from lfield.driver import DeviceError, read_within
 from lfield_can.bus.frames import Frame
+from lfield_can.eds import parse_eds
+from lfield_can.files import tell_warnings
 from lfield_can.protocols.cia402_tables import OBJECTS, SDO_REQUEST, name_of
 from lfield_can.protocols.roll_call import GAP, RollCall
 from lfield_can.protocols.sdo import ABORT, Done, Effect, Failed, Key, Refused, Result, SdoClient, Send
 
 #: The request for object 0x1000.
 PING = bytes.fromhex("4000100000000000")
+#: The largest EDS file, in bytes.
+MOST_BYTES = 16 << 20
 #: Abort codes that say that there is no such object, or that it cannot be written.
 ABSENT = frozenset({0x06020000, 0x06090011, 0x060A0023, 0x06010002, 0x06010000, 0x08000024})
+
+Note = Callable[[str], None]
 
 
 class SdoRefused(DeviceError):
@@ -48,9 +55,9 @@ class CanopenNode:
         #: Called with every object that was written, and its bytes.
         self.on_written: Callable[[int, int, bytes], None] = lambda index, subindex, data: None
 
-    def load(self, path: str) -> None:
-        """Take the objects from an EDS file. Raises DeviceError."""
-        self._dictionary = read_eds(self._name, path, self._id)
+    def load(self, path: str, note: Note) -> None:
+        """Take the objects from an EDS file; `note` is told what of it is not used. Raises DeviceError."""
+        self._dictionary = read_eds(self._name, path, self._id, note)
 
     def ping(self) -> None:
         """Ask for the device type and do not wait for the answer.
@@ -219,10 +226,16 @@ def standard_dictionary() -> canopen.ObjectDictionary:
     return dictionary
 
 
-def read_eds(name: str, path: str, node: int) -> canopen.ObjectDictionary:
-    """The object dictionary of an EDS file. Raises DeviceError."""
+def read_eds(name: str, path: str, node: int, note: Note = lambda text: None) -> canopen.ObjectDictionary:
+    """The object dictionary of an EDS file; `note` is told what of it is not used. Raises DeviceError."""
     try:
-        return canopen.import_od(path, node)
-    except Exception as error:  # whatever a parser of foreign text raises
-        words = str(error).splitlines()[:1] or [type(error).__name__]
-        raise DeviceError(name, f"{path} is not an EDS file that can be read: {words[0]}") from None
+        if Path(path).suffix.lower() == ".epf":
+            return canopen.import_od(path, node)
+        dictionary, warnings = parse_eds(path, read_within(Path(path), MOST_BYTES))
+    except Exception as error:  # OSError, EdsError, and whatever the parser of EPF raises
+        words = getattr(error, "strerror", None) or str(error) or type(error).__name__
+        raise DeviceError(
+            name, f"{path} is not an EDS file that can be read: {words.splitlines()[0]}"
+        ) from None
+    tell_warnings(warnings, path, note)
+    return dictionary

@@ -171,7 +171,7 @@ class Cia402Node(AxisProtocol):
     def prepare(self) -> None:
         """Read the EDS file."""
         if path := self.binding.option("eds"):
-            self.objects.load(path)
+            self.objects.load(path, self.wiring.note)
 
     def call(self) -> None:
         """Ask for the device type: a node need not have heartbeats before it is set up."""
