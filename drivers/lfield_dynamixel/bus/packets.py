@@ -12,7 +12,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Protocol
 
-from dynamixel_sdk.robotis_def import BROADCAST_ID, INST_STATUS, MAX_ID
+from dynamixel_sdk.robotis_def import BROADCAST_ID, INST_STATUS, INST_SYNC_WRITE, MAX_ID
 
 #: A status packet longer than this is noise that looks like one (the SDK's own bound).
 LONGEST = 1024
@@ -192,3 +192,8 @@ class Reader1:
 #: Either protocol: both know `version`, `overhead`, `encode` and `reader`.
 AnyProtocol = type[Protocol1] | type[Protocol2]
 PROTOCOLS: dict[int, AnyProtocol] = {1: Protocol1, 2: Protocol2}
+
+
+def harmless(protocol: AnyProtocol) -> bytes:
+    """A packet that does nothing and has no answer: a sync write to no servo."""
+    return protocol.encode(BROADCAST_ID, INST_SYNC_WRITE, bytes(4 if protocol.version == 2 else 2))
