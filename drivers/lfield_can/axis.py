@@ -48,6 +48,7 @@ class CanAxis(Device):
         self._last_velocity: float | None = None
         self._lost = self._quiet = self._found = self._opened = False
         self._polled = 0.0
+        self._conflict_told = ""
 
     # -- frames and signs of life -----------------------------------------------------------------------
 
@@ -113,6 +114,7 @@ class CanAxis(Device):
             else:
                 # Nobody knows what it did meanwhile: it comes back standing.
                 await self.make_safe()
+        await self._look_at_conflict()
         if self.protocol.state.enabled and self._runs_out:
             self.note("it was leaving its bounds and is stopped")
             await self._make_safe("brake")
@@ -124,6 +126,19 @@ class CanAxis(Device):
         if self.clock.monotonic() - self._polled >= POLL:
             self._polled = self.clock.monotonic()
             self.publish(**await self.protocol.poll())
+
+    async def _look_at_conflict(self) -> None:
+        """Two devices with one id follow every command: they are told of once, and stopped."""
+        if self.protocol.needs_setup:
+            return  # the set-up tells of it
+        conflict, told = self.protocol.conflict, self._conflict_told
+        self._conflict_told = conflict
+        if conflict and not told:
+            self.note(f"{conflict}; motion is refused")
+            if self.protocol.state.enabled:
+                await self._make_safe(self.safe_state)
+        elif told and not conflict:
+            self.note("one device has its id again")
 
     async def _open(self) -> str:
         await self._find()

@@ -139,8 +139,8 @@ class DbcFile:
     def encode(self, name: str, values: Mapping[str, float]) -> Frame:
         """A message with these values; of multiplexed ones, those that are selected. Raises DbcError."""
         message = self.message(name)
-        for signal in values:
-            self.signal(name, signal)
+        for given in values:
+            self.signal(name, given)
         try:
             for signal in message.signals:
                 if signal.name in values:

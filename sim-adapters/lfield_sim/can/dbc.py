@@ -11,6 +11,7 @@ import math
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import cantools
@@ -19,6 +20,7 @@ from cantools.database.can import Message, Signal
 from lfield.errors import BindingError, InputFileError, UsageError
 from lfield.text.files import reason
 from lfield_sim.can.bus import Flaw, Frame
+from lfield_sim.can.dbc_text import decoded, mended
 from lfield_sim.can.motor import AMBIENT, OVERHEATED
 from lfield_sim.state_log import Facts
 
@@ -153,12 +155,15 @@ def load(file: str, *, node: str = "", commands: str = "", command: str = "", st
     `status` that the signal `command` drives; else the only node that sends no signal called a command.
     """
     try:
-        database: Any = cantools.database.load_file(file, database_format="dbc")
+        text = mended(decoded(Path(file).read_bytes()))
+        # Not strict: signals of many files overlap, or lie beyond their frames.
+        database: Any = cantools.database.load_string(text, database_format="dbc", strict=False)
     except OSError as error:
         raise InputFileError(file, reason(error)) from None
     except Exception as error:  # cantools raises what its parsers raise
-        raise BindingError([f"{file} cannot be read as a DBC file: {error}"]) from None
-    plain = [m for m in database.messages if not m.is_multiplexed() and not m.is_container]
+        words = str(error).split("\n")[0]
+        raise BindingError([f"{file} cannot be read as a DBC file: {words}"]) from None
+    plain = [m for m in database.messages if not m.is_multiplexed() and _can_be_sent(m)]
     links = {_place(plain, status): _place(plain, command)} if command or status else {}
     if commands:
         own = [m for m in plain if m.name not in commands.split("+")]
@@ -169,6 +174,15 @@ def load(file: str, *, node: str = "", commands: str = "", command: str = "", st
         raise UsageError(f"{file} has no message that the device '{node}' sends")
     by_key = {_key(m.frame_id, m.is_extended_frame): m for m in plain}
     return DbcData(by_key, tuple(own), links or _links(plain, own))
+
+
+def _can_be_sent(message: Message) -> bool:
+    """Whether its signals lie in its frame, and apart."""
+    try:
+        message.encode({signal.name: 0 for signal in message.signals}, scaling=False, strict=False)
+    except Exception:  # whatever the packer of cantools raises
+        return False
+    return not message.is_container
 
 
 def _key(identifier: int, extended: bool) -> int:

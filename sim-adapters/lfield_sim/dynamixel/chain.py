@@ -149,7 +149,8 @@ class Chain:
 
         The line is low where anybody has it low.
         """
-        begun, replies, ends = self._free, [], self._free
+        begun, ends = self._free, self._free
+        replies: list[Reply] = []
         for answer in sorted(answers, key=lambda answer: answer.servo.return_delay):
             self._free = begun
             starts = begun + answer.servo.return_delay

@@ -14,6 +14,8 @@ from hypothesis import strategies as st
 
 from lfield.errors import DeviceError
 from lfield_can.bus.frames import Frame
+from lfield_can.protocols.alternation import PROOF as RETURNS
+from lfield_can.protocols.alternation import Alternation
 from lfield_can.protocols.roll_call import ASKED, PROOF, RollCall
 
 NODE = 5
@@ -229,3 +231,82 @@ def test_a_roll_call_ends_and_single_frames_prove_nothing(lost, foreign):
             roll_call.on_answer(key)
     assert rounds <= len(ASKED)
     assert not roll_call.is_doubled
+
+
+# -- ODrive: no answers, but places that alternate ---------------------------------------------------------
+
+
+def estimate(bus, position: float, velocity: float = 0.0) -> None:
+    bus.say(3 << 5 | 0x09, struct.pack("<ff", position, velocity))
+
+
+@pytest.fixture
+def wheel(bench, odrive, bus):
+    """An axis that stands in closed loop once it is told so."""
+    state = [1]
+
+    def on_frame(frame: Frame) -> None:
+        if frame.id == 3 << 5 | 0x07:
+            state[0] = struct.unpack("<I", frame.data)[0]
+
+    async def live() -> None:
+        bus.device = on_frame
+        while True:
+            estimate(bus, 2.0)
+            bus.say(3 << 5 | 0x01, struct.pack("<IB3x", 0, state[0]))
+            await asyncio.sleep(0.01)
+
+    return bench(odrive()("virtual:test"), bus=bus, fakes=[live])
+
+
+def test_two_odrives_with_one_id_are_named_and_stopped(wheel):
+    async def mission(axis):
+        await axis.execute("enable", [])
+
+        async def other() -> None:
+            await asyncio.sleep(0.005)
+            while True:
+                estimate(wheel.bus, 7.0)
+                await asyncio.sleep(0.01)
+
+        second = asyncio.ensure_future(other())
+        await wheel.until(lambda: any("two axes have node id 3" in note for note in wheel.notes))
+        with pytest.raises(DeviceError, match="setVelocity refused: two axes have node id 3"):
+            await axis.execute("setVelocity", [1.0])
+        second.cancel()
+        await wheel.until(lambda: any("one device has its id again" in note for note in wheel.notes))
+        await axis.execute("setVelocity", [1.0])
+
+    wheel.run(mission)
+    assert sum("two axes" in note for note in wheel.notes) == 1
+
+
+def test_a_single_foreign_estimate_is_no_second_odrive(wheel):
+    async def mission(axis):
+        await axis.execute("enable", [])
+        for _ in range(5):
+            estimate(wheel.bus, 7.0)
+            await asyncio.sleep(0.5)
+        await axis.execute("setVelocity", [1.0])
+
+    wheel.run(mission)
+    assert not any("two axes" in note for note in wheel.notes)
+
+
+@given(st.lists(st.floats(-50.0, 50.0), min_size=20, max_size=60), st.floats(0.001, 0.05))
+def test_no_motion_of_one_axis_is_two(speeds, period):
+    """Whatever its speeds: they are told with the positions."""
+    alternation, position = Alternation(), 0.0
+    for step, speed in enumerate(speeds):
+        position += speed * period
+        alternation.on_position(position, speed, step * period)
+        assert not alternation.is_proved(step * period)
+
+
+def test_two_places_prove_two_axes_when_they_come_often_enough():
+    fast, slow = Alternation(), Alternation()
+    for step in range(2 * RETURNS + 2):
+        fast.on_position(5.0 * (step % 2), 0.0, step * 0.005)
+        slow.on_position(5.0 * (step % 2), 0.0, step * 1.0)
+    assert fast.is_proved(step * 0.005)
+    assert not slow.is_proved(step * 1.0)
