@@ -226,7 +226,9 @@ class CanSignals(Device):
         for term in self._confirm:
             _, values = self._received.get(f"{term.message}.{term.signal}", (0.0, {}))
             if not self._fits(term, since):
-                wrong.append(f"{term.message}.{term.signal} is {values.get(term.signal, 'not heard')}")
+                lacks = self._lacks(term.message, term.signal)
+                unheard = f"absent ({self._problems[term.message][0]})" if lacks else "not heard"
+                wrong.append(f"{term.message}.{term.signal} is {values.get(term.signal, unheard)}")
         return wrong
 
     def _moving(self) -> str:

@@ -16,7 +16,7 @@ from lfield.driver import Diagnostic, Diagnostics, Source, read_within
 from lfield_can.bus.frames import EXTENDED, Frame, group_of
 from lfield_can.dbc.layout import Message, OutOfRange, Signal
 from lfield_can.dbc.reader import read_messages
-from lfield_can.text import decode_text
+from lfield_can.files import decode_text
 
 #: The largest file, in bytes.
 MOST_BYTES = 64 << 20

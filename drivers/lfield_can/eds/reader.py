@@ -15,9 +15,35 @@ from dataclasses import dataclass, field
 import canopen
 from canopen.objectdictionary import ODRecord, ODVariable, datatypes
 
-from lfield.driver import Diagnostic, Diagnostics, Source, Span
-from lfield_can.eds import findings
-from lfield_can.text import decode_text
+from lfield.driver import Diagnostic, Diagnostics, Source, Span, Table
+from lfield_can.files import decode_text
+
+# EDS1xx are errors: the file is not used. EDS9xx are warnings: it is used without what they are about.
+#: Every message by its code, in the order of the codes.
+TABLE = Table(warnings="EDS9")
+_message = TABLE.message
+
+NO_OBJECTS = _message(
+    "EDS101", "the file describes no objects", "an object has a section of its own, as in [6040]"
+)
+
+NOT_A_LINE = _message(
+    "EDS901", "this line is left out: it is no section and has no '='", "write KEY=VALUE, or ; for a comment"
+)
+TWICE = _message("EDS902", "{what} stands in line {line}, too; the first is used", "keep one of them")
+NOT_A_NUMBER = _message(
+    "EDS903",
+    "object {object} is left out: its {key} is '{text}', which is no number",
+    "write it like 7 or 0x0007",
+)
+NO_TYPE = _message(
+    "EDS904", "object {object} is left out: it has no DataType", "give it the DataType of the manual"
+)
+UNKNOWN_TYPE = _message(
+    "EDS905",
+    "object {object} is left out: the file does not say what its DataType {type} is",
+    "describe the type in a section of its own, or use one of CiA 301",
+)
 
 #: The last data type that CiA 301 has; those beyond it a file describes itself (CiA 306, 4.6.4).
 LAST_TYPE = 0x1B
@@ -61,7 +87,7 @@ def parse_eds(path: str, data: bytes) -> tuple[canopen.ObjectDictionary, Sequenc
         section = sections.get(index, _Section(Span(source, 0, 0)))
         _add(dictionary, int(index, 16), section, sections, found)
     if not len(dictionary):
-        finding = findings.NO_OBJECTS.at(Span(source, 0, min(1, len(source.text))))
+        finding = NO_OBJECTS.at(Span(source, 0, min(1, len(source.text))))
         place = f"{path}:{finding.span.line}:{finding.span.column}"
         raise EdsError(f"{place}: error[{finding.code}]: {finding.message} ({finding.hint})", [finding])
     return dictionary, found.in_order()
@@ -82,15 +108,15 @@ def _sections(source: Source, found: Diagnostics) -> dict[str, _Section]:
             current = _Section(span)
             first = sections.setdefault(match["name"].lower(), current)
             if first is not current:
-                found.add(findings.TWICE.at(span, what=f"section [{match['name']}]", line=first.span.line))
+                found.add(TWICE.at(span, what=f"section [{match['name']}]", line=first.span.line))
         elif match := _ENTRY.match(line):
             value_at = start + match.start("value")
             entry = (match["value"], Span(source, value_at, value_at + max(1, len(match["value"]))))
             kept = current.entries.setdefault(match["key"].lower(), entry)
             if kept is not entry and kept[0] != entry[0]:
-                found.add(findings.TWICE.at(span, what=f"key {match['key']}", line=kept[1].line))
+                found.add(TWICE.at(span, what=f"key {match['key']}", line=kept[1].line))
         else:
-            found.add(findings.NOT_A_LINE.at(span))
+            found.add(NOT_A_LINE.at(span))
     return sections
 
 
@@ -143,17 +169,17 @@ def _variable(
     label = f"0x{index:04X}:{subindex}"
     text, place = section.entries.get("datatype", ("", section.span))
     if not text:
-        found.add(findings.NO_TYPE.at(section.span, object=label))
+        found.add(NO_TYPE.at(section.span, object=label))
         return None
     data_type = _number(text)
     if data_type is None:
-        found.add(findings.NOT_A_NUMBER.at(place, object=label, key="DataType", text=text))
+        found.add(NOT_A_NUMBER.at(place, object=label, key="DataType", text=text))
         return None
     if data_type > LAST_TYPE and (described := sections.get(f"{data_type:x}sub1")):
         # CANFestival's editor describes a type by its first subindex, whose default value is the real one.
         data_type = _number(described.text("DefaultValue")) or data_type
     if data_type > LAST_TYPE:
-        found.add(findings.UNKNOWN_TYPE.at(place, object=label, type=text))
+        found.add(UNKNOWN_TYPE.at(place, object=label, type=text))
         return None
     variable = ODVariable(name, index, subindex)
     variable.data_type = data_type

@@ -21,7 +21,7 @@ from lfield_can.bus.frames import Frame
 from lfield_can.eds import parse_eds
 from lfield_can.files import tell_warnings
 from lfield_can.protocols.cia402_tables import OBJECTS, SDO_REQUEST, name_of
-from lfield_can.protocols.roll_call import GAP, RollCall
+from lfield_can.protocols.conflict import GAP, RollCall
 from lfield_can.protocols.sdo import ABORT, Done, Effect, Failed, Key, Refused, Result, SdoClient, Send
 
 #: The request for object 0x1000.

@@ -9,8 +9,8 @@ from collections.abc import Callable, Mapping
 from lfield.driver import DeviceError
 from lfield_can.bus.frames import Frame
 from lfield_can.protocols import odrive_tables as t
-from lfield_can.protocols.alternation import WITHIN, Alternation
 from lfield_can.protocols.axis_protocol import AxisProtocol, Wiring
+from lfield_can.protocols.conflict import WITHIN, Alternation
 
 #: Seconds for a change of state to show, and for a homing.
 STEP, HOMED = 1.0, 120.0

@@ -15,8 +15,7 @@ from itertools import count
 from typing import Protocol
 
 from lfield.driver.serial import PortEvents
-from lfield_dynamixel.bus.echo import EchoFilter
-from lfield_dynamixel.bus.packets import AnyProtocol, Reader, Status, harmless
+from lfield_dynamixel.bus.packets import AnyProtocol, EchoFilter, Reader, Status, harmless
 
 #: Seconds that a servo and this computer may take beyond what the wire needs.
 SLACK = 0.025

@@ -30,6 +30,8 @@ from lfield_dynamixel.bus.words import refusal
 TRIES = 5
 #: So many fast reads in a row that fail while plain ones work: some servo here does not know them.
 FAST_FAILURES = 3
+#: After so many plain ones a fast one is tried again: it may have been a servo that is gone, or the port.
+FAST_AGAIN = 200
 
 #: Rounds of a roll call: with one answer each after which there is one servo, with two answers that prove a
 #: second one, and at most.
@@ -79,7 +81,7 @@ class Chain:
     def __init__(self, bus: Bus) -> None:
         self._bus = bus
         self._doubted: set[int] = set()
-        self._fast_failures = 0
+        self._fast_failures = self._plain_reads = 0
 
     async def ping(self, node: Node, *, urgency: int = COMMAND) -> bytes | None:
         """Ask a servo whether it is there: the data of its answer (2.0: model and firmware), or None."""
@@ -170,7 +172,8 @@ class Chain:
     ) -> dict[int, Status]:
         """Those that answered a fast sync read, or a plain one where fast ones do not work."""
         numbers = tuple(node.number for node in nodes)
-        fast = self._fast_failures < FAST_FAILURES
+        fast = self._fast_failures < FAST_FAILURES or self._plain_reads >= FAST_AGAIN
+        self._plain_reads = 0 if fast else self._plain_reads + 1
         instruction = INST_FAST_SYNC_READ if fast else INST_SYNC_READ
         codec = nodes[0].codec
         packet = codec.encode(BROADCAST_ID, instruction, nodes[0].place(start, size) + bytes(numbers))

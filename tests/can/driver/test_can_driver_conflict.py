@@ -14,9 +14,7 @@ from hypothesis import strategies as st
 
 from lfield.errors import DeviceError
 from lfield_can.bus.frames import Frame
-from lfield_can.protocols.alternation import PROOF as RETURNS
-from lfield_can.protocols.alternation import Alternation
-from lfield_can.protocols.roll_call import ASKED, PROOF, RollCall
+from lfield_can.protocols.conflict import ASKED, PROOF, RETURNS, Alternation, RollCall
 
 NODE = 5
 TWO = r"two devices answer to this node id \(5\)"

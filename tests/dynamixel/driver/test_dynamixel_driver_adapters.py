@@ -10,8 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from lfield.errors import DeviceError
-from lfield_dynamixel.bus.echo import EchoFilter
-from lfield_dynamixel.bus.packets import Protocol1, Protocol2, Reader1, harmless
+from lfield_dynamixel.bus.packets import EchoFilter, Protocol1, Protocol2, Reader1, harmless
 from lfield_sim.dynamixel.ax import make_servo
 from lfield_sim.dynamixel.model import model_named
 
@@ -227,3 +226,22 @@ def test_lost_late_and_damaged_answers_are_no_second_servo(protocol):
 
     b.run(story, opened=False)
     assert not any("id" in note for note in b.notes)
+
+
+def test_fast_reads_are_tried_again_after_they_failed_for_a_while():
+    b = bench(2, 1, 2)
+
+    def fast_reads() -> int:
+        return sum(packet[7] == 0x8A for _, packet in b.sent)
+
+    async def story(group):
+        b.fault("lose=1.0")
+        await asyncio.sleep(3.0)
+        b.fault("lose=0.0")
+        await b.until(lambda: sum("answers again" in note for note in b.notes) == 2)
+        before = fast_reads()
+        await asyncio.sleep(20.0)
+        assert fast_reads() - before > 100
+        assert b.values["missing"] == []
+
+    b.run(story)
