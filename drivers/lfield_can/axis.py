@@ -23,6 +23,8 @@ SAFE_AGAIN, SAFE_BY = 0.2, 5.0
 HALTS_BY = 10.0
 #: Seconds without coming closer after which a travel has failed, and what counts as closer, in rad.
 STUCK, CLOSER = 3.0, 1e-4
+#: A position that has been rounded may be beyond its bound by so much, in rad.
+ROUNDING_POSITION = 1e-9
 #: A value that has been rounded may be beyond its limit by so much, relatively.
 ROUNDING = 1.0 + 1e-9
 
@@ -353,8 +355,7 @@ class CanAxis(Device):
         lowest, highest = self.binding.option("lowest"), self.binding.option("highest")
         if not math.isfinite(position):
             raise self.error(f"{what} needs a finite number, not {position}")
-        slack = (ROUNDING - 1.0) * max(abs(lowest), abs(highest))
-        if not lowest - slack <= position <= highest + slack:
+        if not lowest - ROUNDING_POSITION <= position <= highest + ROUNDING_POSITION:
             raise self.error(f"{what} refused: {position:g} rad is outside {lowest:g} to {highest:g} rad")
         if not self.protocol.state.referenced and not self.binding.waives("no_homing"):
             raise self.error(

@@ -10,7 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from lfield.errors import DeviceError
-from lfield_dynamixel.bus.packets import EchoFilter, Protocol1, Protocol2, Reader1, harmless
+from lfield_dynamixel.bus.chain import FAST_AGAIN, Chain, Node
+from lfield_dynamixel.bus.packets import EchoFilter, Protocol1, Protocol2, Reader1, Status, harmless
 from lfield_sim.dynamixel.ax import make_servo
 from lfield_sim.dynamixel.model import model_named
 
@@ -228,20 +229,40 @@ def test_lost_late_and_damaged_answers_are_no_second_servo(protocol):
     assert not any("id" in note for note in b.notes)
 
 
-def test_fast_reads_are_tried_again_after_they_failed_for_a_while():
-    b = bench(2, 1, 2)
+class DeafToFast:
+    """A bus whose servos answer plain sync reads, and fast ones once that is said."""
 
-    def fast_reads() -> int:
-        return sum(packet[7] == 0x8A for _, packet in b.sent)
+    gone = ""
 
-    async def story(group):
-        b.fault("lose=1.0")
-        await asyncio.sleep(3.0)
-        b.fault("lose=0.0")
-        await b.until(lambda: sum("answers again" in note for note in b.notes) == 2)
-        before = fast_reads()
-        await asyncio.sleep(20.0)
-        assert fast_reads() - before > 100
-        assert b.values["missing"] == []
+    def __init__(self) -> None:
+        self.knows_fast, self.kinds = False, []
 
-    b.run(story)
+    async def exchange(self, protocol, packet, numbers, size, *, urgency):
+        fast = packet[7] == 0x8A
+        self.kinds.append(fast)
+        if not fast:
+            return [Status(number, 0, bytes(size)) for number in numbers]
+        if not self.knows_fast:
+            return []
+        part = b"".join(bytes((0, number)) + bytes(2 + size) for number in (1, 2))
+        return [Status(0xFE, 0, part[1:-2])]
+
+
+def test_fast_reads_that_failed_are_tried_again():
+    bus, nodes = DeafToFast(), [Node(1), Node(2)]
+    chain = Chain(bus)
+
+    async def read(times: int) -> list[bool]:
+        for _ in range(times):
+            bus.kinds.clear()
+            await chain.sync_read(nodes, 132, 4)
+        return bus.kinds
+
+    async def story():
+        assert await read(10) == [False]
+        bus.knows_fast = True
+        await read(FAST_AGAIN)
+        assert await read(1) == [True]
+        assert await read(10) == [True]
+
+    asyncio.run(story())
