@@ -21,7 +21,7 @@ from lfield.errors import AddressError, KeysError, WireError
 from lfield.loop import spare_descriptors, spawn
 from lfield.net.greeting import Greeting
 from lfield.net.guests import Guests
-from lfield.net.owner import Complaints, Owner
+from lfield.net.owner import Complaints, Owner, Refusals
 from lfield.net.paths.dialler import Dialler
 from lfield.net.session import Session
 from lfield.net.transport import Link, Listener, Transport
@@ -65,7 +65,6 @@ class Peers:
     ) -> None:
         self._owner, self._transport, self._clock = owner, transport, clock
         self._admission = admission or Admission()
-        #: The clock's monotonic time.
         self.now = clock.monotonic
         self._hosts, self._addresses, self._here, self._near = hosts, addresses, here, near
         self._numbers = {host: number for number, host in enumerate(hosts)}
@@ -89,6 +88,7 @@ class Peers:
         self._last_heard: dict[str, float] = {}
         #: Since when each host that is wanted and has no link has had none, on the monotonic clock.
         self.away: dict[str, float] = {}
+        self.refusals = Refusals(hosts)
 
     @property
     def incarnations(self) -> dict[str, int]:
@@ -252,7 +252,6 @@ class Peers:
     def _look_at(self, host: str, session: Session, now: float, token: int) -> None:
         silent = now - session.heard
         if not self.wants(host):
-            # From here on nobody need ask for signs of life.
             session.idle = now
             if silent > QUIET_FOR:
                 session.link.close()
@@ -348,6 +347,7 @@ class Peers:
         self.away.pop(hello.host, None)
         if caller := self._callers.get(hello.host):
             caller.has_failed = False
+        self.refusals.report(hello.host, "")
         self._owner.linked(hello)
         self.called(hello.host)
 

@@ -11,6 +11,7 @@ import pytest
 
 from lfield.errors import AddressError, NobodyListens
 from lfield.net.local import insist_on_free, reserve
+from lfield.net.owner import Refusals
 from lfield.net.paths import listener as listeners
 from lfield.net.paths import names
 from lfield.net.paths.attempts import STAGGER
@@ -320,6 +321,7 @@ class Caller:
 
     def __init__(self, errors: list[Exception]) -> None:
         self.errors, self.calls, self.notes, self.barred = errors, [], [], 0.0
+        self.refusals = Refusals(["bravo"])
 
     def wants(self, host):
         return True

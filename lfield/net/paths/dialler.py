@@ -100,8 +100,10 @@ class Dialler:
             await session.over.wait()
             return session.reason
         except (AddressError, GreetingError, WireError) as error:
-            # Who does not prove who it is was there, which is news.
-            session.connected |= not isinstance(error, AddressError)
+            # A host that does not prove its identity has answered all the same.
+            answered = not isinstance(error, AddressError)
+            session.connected |= answered
+            self._owner.refusals.report(self._host, str(error) if answered else "")
             return error.reason if isinstance(error, AddressError) else str(error)
         finally:
             self.session = None
