@@ -17,6 +17,7 @@ from lfield.host.effects import CHANGED, Call, Complain, Effect, Nearby, Reach, 
 from lfield.host.inits import Inits
 from lfield.host.offers import Offers
 from lfield.host.sight.hops import Hops
+from lfield.host.sight.programs import Programs
 from lfield.host.sight.teller import Teller
 from lfield.host.team import words
 from lfield.host.team.absent import Absent
@@ -81,8 +82,6 @@ class HostCore:
         self.here = self.team.number(name)
         self._clock, self._memory, self._reserves = clock, memory, mission.program.has_reserves
         self._effects: list[Effect] = []
-        #: For how many seconds programs have run here, by this clock.
-        self.programs_ran, self.stopwatch = 0.0, clock.monotonic
         #: What is told of all that happens here.
         self.teller = teller = teller or Teller(clock)
         #: What the machine asks this host.
@@ -91,17 +90,15 @@ class HostCore:
         self.machine = machine = Machine(
             mission.program, everybody, self.here, incarnation, self.world, clock, dice, fenced, engines
         )
-        machine.attached.rules = mission.calls
-        machine.attached.is_silent = lambda member: absent.is_silent(self.team.hosts[member.host])
+        self.programs, machine.attached.rules = Programs(machine, clock.monotonic), mission.calls
         own = self._hello([])
         self._hops = hops = Hops(teller, machine, name, self.team)
         self.coordinators = team = Coordinators(
             mission, own, machine, clock, self._out, unreachable_after, pages, times or {}, hops
         )
-        self.mobility = team.mobility
         self.directory = TeamDirectory(mission, name, incarnation, machine, nearby, clock)
         self._leases = leases = Leases(mission, own, team, machine, clock, self._out, pages, dice)
-        team.barred = leases.quorum.fences.bars
+        team.barred, self.mobility = leases.quorum.fences.bars, team.mobility
         self._begun = BegunPages(own.mission, team, leases, machine, clock, pages, keeps=bool(memory))
         self.hearsay = Hearsay(self.team.hosts, self.here, incarnation, clock.monotonic(), neighbours)
         self.reserving = Reserving(
@@ -114,6 +111,7 @@ class HostCore:
         self.commands = Commands(machine, nearby, leases, self._policies, clock, self._out, teller)
         offers = Offers(self.directory, mission)
         absent = Absent(nearby, self.hearsay, clock, unreachable_after)
+        machine.attached.is_silent = lambda member: absent.is_silent(self.team.hosts[member.host])
         self.world.join(team, leases, self._begun, self.reserving, self.commands, offers, absent)
         #: What may have something to do at a time.
         self._timed: list[Timed] = [team, self.directory, self.hearsay, self._policies, self._inits]
@@ -189,7 +187,7 @@ class HostCore:
         self._begun.look()
         if self._reserves:
             self.reserving.look()
-        pause = None if self.coordinators.halted or self.coordinators.paused else self._run_programs()
+        pause = None if self.coordinators.halted or self.coordinators.paused else self.programs.run()
         self.coordinators.answer()
         self._inits.look(now)
         # A portal that has ended may be what somebody waits for who wants to reserve its resource.
@@ -200,12 +198,6 @@ class HostCore:
         for part in self._timed:
             if (due := part.due) is not None and (pause is None or due - now < pause):
                 pause = max(0.0, due - now)
-        return pause
-
-    def _run_programs(self) -> float | None:
-        began = self.stopwatch()
-        pause = self.machine.run()
-        self.programs_ran += self.stopwatch() - began
         return pause
 
     # --- life -----------------------------------------------------------------------------------------

@@ -47,7 +47,6 @@ Answers = Mapping[str, T | LfieldError]
 
 #: Seconds before something is asked again.
 AGAIN_AFTER = 0.1
-
 #: So many hosts are asked at a time, and so many that are in runs of other users: a process may have 1024
 #: descriptors. Of one such run so many hosts that did not answer get a line each.
 AT_ONCE, BESIDE, MOST_LINES = 512, 128, 8

@@ -82,9 +82,9 @@ async def run_host(
         admission=admission,
     )
     # What programs compute when a message wakes them is no work of whoever has sent it.
-    transport = TcpTransport(mission.max_block, tls, exempt=lambda: host.core.programs_ran)
+    transport = TcpTransport(mission.max_block, tls, exempt=lambda: host.core.programs.ran)
     host = Host(mission, name, transport, logbook, host_options)
-    transport.note, host.core.stopwatch = host.note, time.thread_time
+    transport.note, host.core.programs.stopwatch = host.note, time.thread_time
     host.on_failure = _end_by_force_after(mission)
     words = StopWords(host.clock)
     hear_signals(words)
