@@ -90,7 +90,6 @@ class HostCore:
             mission.program, everybody, self.here, incarnation, self.world, clock, dice, fenced, engines
         )
         machine.attached.rules = mission.calls
-        machine.attached.is_silent = lambda member: absent.is_silent(self.team.hosts[member.host])
         own = self._hello([])
         self._hops = hops = Hops(teller, machine, name, self.team)
         self.coordinators = team = Coordinators(
@@ -112,16 +111,16 @@ class HostCore:
         self.commands = Commands(machine, nearby, leases, self._policies, clock, self._out, teller)
         offers = Offers(self.directory, mission)
         absent = Absent(nearby, self.hearsay, clock, unreachable_after)
+        machine.attached.is_silent = lambda member: absent.is_silent(self.team.hosts[member.host])
         self.world.join(team, leases, self._begun, self.reserving, self.commands, offers, absent)
-        #: What may have something to do at a time.
-        self._timed: list[Timed] = [team, self.directory, self.hearsay, self._policies, self._inits]
-        self._timed += [leases] if leases.fenced else []
-        self._timed += [self.reserving] if self._reserves else []
         #: When the coordinators of this host begin, and what a new start of them waits for.
-        self.startup = Beginning(
+        self.startup = startup = Beginning(
             mission, name, team, leases, clock, self._out, nearby, self.hearsay, teller, kept=bool(memory)
         )
-        self._timed.append(self.startup)
+        #: What may have something to do at a time.
+        self._timed: list[Timed] = [team, self.directory, self.hearsay, self._policies, self._inits, startup]
+        self._timed += [leases] if leases.fenced else []
+        self._timed += [self.reserving] if self._reserves else []
 
     # --- out ------------------------------------------------------------------------------------------
 
