@@ -59,7 +59,7 @@ _MAX_BLOCK = 1 << 20
 class Request(Generic[T]):
     """What can be asked: the message, what answers it, and the seconds that a host has for that.
 
-    What may come twice is asked `again` until then, where a link (in a flood of callers) ends without an answer.
+    What may come twice is asked `again` until then, where a link (in a flood, say) ends without an answer.
     """
 
     message: Message
