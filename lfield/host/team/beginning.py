@@ -131,7 +131,7 @@ class Beginning:
     def due(self) -> float | None:
         """When `look` has something to do by itself, in seconds of the host's clock; None for never.
 
-        What is due waits for other things too (a lease, say), so it is looked at `LOOK` later at the earliest.
+        It may wait for other things too (a lease, say), so `LOOK` passes before it is looked at again.
         """
         due = self.readiness.due if self._starts.is_waiting and not self._team.halted else None
         return None if due is None else max(due, self._looked_at + LOOK)
