@@ -37,6 +37,7 @@ class MavlinkDriver(Driver):
         self._quieted = False
         self._ports: list[Port] = []
         self._neighbours = Neighbours()
+        self._addresses: dict[int, str] = {}
         self._reported: set[tuple[int, Source]] = set()
         self._received_bytes = 0
         self._vehicles: dict[int, MavlinkVehicle] = {}
@@ -78,7 +79,14 @@ class MavlinkDriver(Driver):
     # -- links ----------------------------------------------------------------------------------------
 
     def _make_link(self, endpoint: str, on_data: OnData) -> Link:
-        return make_link(endpoint, on_data, LinkEvents(self._note, self._reopened))
+        number = split_endpoint(self.endpoint).index(endpoint)
+        return make_link(
+            endpoint, on_data, LinkEvents(self._note, self._reopened, partial(self._from, number))
+        )
+
+    def _from(self, link: int, address: str) -> None:
+        """What comes over a link next is from this address."""
+        self._addresses[link] = address
 
     def _note(self, text: str) -> None:
         for vehicle in self._vehicles.values():
@@ -128,9 +136,9 @@ class MavlinkDriver(Driver):
             return f"the {count} bytes that came hold no heartbeat; is it the right port and baud rate?"
         return "; ".join(port.link.why_silent() for port in self._ports)
 
-    def _received(self, link: int, reader: Reader, data: bytes, address: str = "") -> None:
+    def _received(self, link: int, reader: Reader, data: bytes) -> None:
         self._received_bytes += len(data)
-        source = Source(link, address)
+        source = Source(link, self._addresses.get(link, ""))
         for message in reader.feed(data, partial(self._is_spare, source)):
             system = message.get_srcSystem()
             vehicle = self._vehicles.get(system)

@@ -81,7 +81,7 @@ class MavlinkVehicle(Contact):
             self._guidance,
             Missions(self, self.motion, limits, self.plans, self.parameters),
             Fences(self, self.plans, self.parameters),
-            Rally(self, self.plans, limits),
+            Rally(self, self.plans),
             Payload(self),
             Upkeep(self, self._renew),
             Settings(self, self.parameters, self.watchdog.protects),
@@ -100,10 +100,7 @@ class MavlinkVehicle(Contact):
             return
         self._health.count(message.get_seq(), now)
         self._streams.heard(message.get_msgId(), now)
-        restarts = self.state.restarts
         super().on_message(message)
-        if self.state.restarts != restarts:
-            self._reconnected("a restart")
         if self._identity.is_another_kind:
             self._reconnected("a heartbeat of another type")
 

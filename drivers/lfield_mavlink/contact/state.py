@@ -114,8 +114,6 @@ class VehicleState:
         # The first origin that it told, and whether the last one is of before a restart.
         self._first_origin: Place | None = None
         self._restarted = False
-        #: How often its clock has begun anew.
-        self.restarts = 0
         self._told_at = 0
         self._local_home: Vector | None = None
 
@@ -244,7 +242,6 @@ class VehicleState:
         """Milliseconds since it was switched on; when that was anew, its frames are not what they were."""
         if booted < self._told_at - 1000.0 * OVERTAKEN:
             self._restarted = True
-            self.restarts += 1
             self._local = self._local_home = self.home = None
         self._told_at = booted
 

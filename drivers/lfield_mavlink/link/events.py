@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
 
 from lfield.driver import DeviceError
 
@@ -12,11 +11,8 @@ from lfield.driver import DeviceError
 AGAIN, ATTEMPT = 1.0, 2.0
 
 
-class OnData(Protocol):
-    """Takes bytes, with the address that they came from where a link has several far ends."""
-
-    def __call__(self, data: bytes, address: str = "", /) -> None:
-        """Take bytes."""
+#: Takes bytes.
+OnData = Callable[[bytes], None]
 
 
 def _nothing(*_: object) -> None:
@@ -25,10 +21,14 @@ def _nothing(*_: object) -> None:
 
 @dataclass(frozen=True, slots=True)
 class LinkEvents:
-    """`note` takes a line for the log; `reopened` is called when a link works again that was lost."""
+    """`note` takes a line for the log; `reopened` is called when a link works again that was lost.
+
+    `sender` gets the address that the bytes after it come from, where a link has several far ends.
+    """
 
     note: Callable[[str], None] = _nothing
     reopened: Callable[[], None] = _nothing
+    sender: Callable[[str], None] = _nothing
 
     def log(self, line: str) -> None:
         """A line, unless it is empty."""

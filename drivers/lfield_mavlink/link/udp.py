@@ -221,7 +221,8 @@ class UdpListener:
         self._peers[address] = (opened, peer)
         if len(self._peers) > PEERS:
             del self._peers[next(iter(self._peers))]
-        self._on_data(data, address)
+        self._events.sender(address)
+        self._on_data(data)
 
     def send(self, data: bytes) -> None:
         """To the peers, if there are any."""

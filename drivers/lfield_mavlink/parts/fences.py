@@ -192,8 +192,9 @@ class OwnFence:
 class Rally:
     """Rally points, where a vehicle that returns may go instead of home: the list, always as a whole."""
 
-    def __init__(self, vehicle: Contact, plans: PlanTransfer, limits: Limits) -> None:
-        self._vehicle, self._plans, self._limits = vehicle, plans, limits
+    def __init__(self, vehicle: Contact, plans: PlanTransfer) -> None:
+        self._vehicle, self._plans = vehicle, plans
+        self._limits = Limits(vehicle.binding, vehicle.error)
 
     async def do_set_rally_points(self, values: list[float]) -> None:
         """{latitude, longitude, height above home} for each, in place of those that were there."""
