@@ -77,8 +77,9 @@ class _Seen:
             self.beat = now
         elif message.get_msgId() == dialect.MAVLINK_MSG_ID_AUTOPILOT_VERSION:
             self.board = Board.of(message)
-        elif (booted := getattr(message, "time_boot_ms", None)) is not None:
-            self._on_clock(booted / 1000.0, now)
+        elif message.get_msgId() == dialect.MAVLINK_MSG_ID_ATTITUDE:
+            # One kind only: some senders give each kind of message a clock of its own.
+            self._on_clock(message.time_boot_ms / 1000.0, now)
 
     def _on_clock(self, booted: float, now: float) -> None:
         if booted < self.booted - 1.0:

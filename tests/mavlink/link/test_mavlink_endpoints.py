@@ -34,7 +34,7 @@ def test_udpin_answers_all_who_speak():
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
             free.bind(("127.0.0.1", 0))
             port = free.getsockname()[1]
-        link = make_link(f"udpin:127.0.0.1:{port}", lambda data, address: got.extend(data))
+        link = make_link(f"udpin:127.0.0.1:{port}", got.extend)
         await link.open()
         link.send(b"nobody there yet")
         replies = asyncio.Queue()
@@ -80,7 +80,7 @@ def test_a_port_where_nobody_listens_is_told_with_what_is_meant():
 
 
 def test_tcp_comes_back_after_a_broken_connection(monkeypatch):
-    monkeypatch.setattr("lfield_mavlink.link.tcp.AGAIN", 0.01)
+    monkeypatch.setattr("lfield_mavlink.link.links.AGAIN", 0.01)
 
     async def talk():
         got, writers = bytearray(), []
