@@ -224,8 +224,9 @@ class MavlinkVehicle(Contact):
                 ready = await self._renewed()
 
     async def _renewed(self) -> bool:
+        if not self._identity.is_certain:
+            return False
         try:
-            await self._identity.verify()
             self.check_identity()
             await self._renew()
         except DeviceError as error:
@@ -251,6 +252,8 @@ class MavlinkVehicle(Contact):
         return "its motors are on" if self.state.armed else ""
 
     async def _make_safe(self, state: str) -> None:
+        if self._identity.stranger or self.silence <= LINK_LOST:
+            await self._identity.verify()
         await self._flight.make_safe(state)
 
     def _frame(self) -> Frame | None:

@@ -45,6 +45,9 @@ class Peer(Protocol):
     def error(self, reason: str, *, timeout: bool = False) -> DeviceError:
         """The exception for a reason."""
 
+    def heard(self) -> None:
+        """It has said something."""
+
     def check_identity(self) -> None:
         """Raise DeviceError when its autopilot or type is not the binding's."""
 
@@ -112,6 +115,8 @@ class Identity:
                 raise self._vehicle.error(
                     f"it has not told its unique id since {reason}, so nothing is commanded", timeout=True
                 )
+            # It has answered: the silence while another vehicle was there is over.
+            self._vehicle.heard()
             self._reason = ""
             self._suspected.clear()
             self._vehicle.note(f"the same vehicle as before, after {reason}: {self._compared(board)}")
