@@ -109,7 +109,7 @@ class Bus:
             except DeviceError as error:
                 self._log(self._attempts.failed(error.reason, self._loop.time()))
         self._opened_at = self._loop.time()
-        self._log(self._attempts.opened("open", self._loop.time()))
+        self._log(self._attempts.opened("", self._loop.time()))
 
     def _log(self, line: str) -> None:
         if line:

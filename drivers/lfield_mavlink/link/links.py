@@ -118,9 +118,9 @@ class SerialLink:
 
     def lost(self, reason: str) -> None:
         """The port has gone; it is opened again as soon as it is back under its path."""
-        self._events.note(f"serial:{self.port.path} lost: {reason}; opening it again")
+        self._events.note(f"serial:{self.port.path} is lost: {reason}")
 
     def back(self) -> None:
         """It is open again."""
-        self._events.note(f"serial:{self.port.path} open again")
+        self._events.note(f"serial:{self.port.path} is open again")
         self._events.reopened()

@@ -22,21 +22,23 @@ class Attempts:
         """It does not work any more."""
         if self._lost_at == math.inf:
             self._lost_at, self._count = now, 0
-        return self._line(reason, f"{self._name} lost: {reason}; opening it again", now)
+        return self._line(reason, f"{self._name} is lost: {reason}", now)
 
     def failed(self, reason: str, now: float) -> str:
         """An attempt to open it has failed."""
         self._count += 1
-        line = f"{self._name} not open: {reason} (attempt {self._count}); trying again each second"
+        line = f"{self._name} is not open yet: {reason} (attempt {self._count})"
         return self._line(reason, line, now)
 
     def opened(self, where: str, now: float) -> str:
-        """An attempt has succeeded; `where` names the address that answered."""
+        """An attempt has succeeded; `where` names the address that answered, if there is one."""
         if self._lost_at == math.inf:
             return ""
         self._count += 1
-        tries = "1 attempt" if self._count == 1 else f"{self._count} attempts"
-        line = f"{self._name} open again: {where}, after {tries} and {now - self._lost_at:.0f} s"
+        line = f"{self._name} is open again"
+        if where:
+            tries = "1 attempt" if self._count == 1 else f"{self._count} attempts"
+            line += f": {where}, after {tries} and {now - self._lost_at:.0f} s"
         return self._line(f"opened {where}", line, now)
 
     def works(self) -> None:
