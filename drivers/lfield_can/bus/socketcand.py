@@ -45,8 +45,7 @@ async def open_socketcand(place: Place, listener: Listener) -> Socketcand:
         client = Socketcand(listener)
         try:
             async with asyncio.timeout(ANSWER):
-                loop = asyncio.get_running_loop()
-                await loop.create_connection(lambda made=client: made, str(address[0]), place.server[1])
+                await client.connect(str(address[0]), place.server[1])
                 await client.greet(str(place.arguments["channel"]))
         except TimeoutError:
             reasons["timed out"] = None
@@ -74,6 +73,10 @@ class Socketcand(asyncio.Protocol):
         self._transport: asyncio.Transport | None = None
         self._unread = b""
         self._answers: asyncio.Queue[bytes] | None = asyncio.Queue()
+
+    async def connect(self, host: str, port: int) -> None:
+        """Connect to a server. Raises OSError."""
+        await asyncio.get_running_loop().create_connection(lambda: self, host, port)
 
     async def greet(self, channel: str) -> None:
         """Open a bus and have all its frames. Raises ConnectionError."""
