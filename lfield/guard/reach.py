@@ -96,7 +96,7 @@ def reach(devices: Sequence[DeviceBinding], driver: KnownDriver, code: Iterable[
 
 
 def _resolver_folders() -> tuple[str, ...]:
-    """The folder that /etc/resolv.conf leads into, where it is a link: the file there is replaced by a new one.
+    """The folder that /etc/resolv.conf leads into, where it is a link: the file there is replaced.
 
     What is allowed is a file, not its name: after a change of the network the new one could not be read.
     """

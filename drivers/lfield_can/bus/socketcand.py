@@ -12,7 +12,6 @@ from typing import cast
 
 from lfield.driver import DeviceError
 from lfield.driver.network import Lookup, keep_alive
-from lfield.loop import Simulated
 from lfield_can.bus.endpoint import Place
 from lfield_can.bus.frames import GONE, Frame, Listener
 
@@ -130,9 +129,8 @@ class Socketcand(asyncio.Protocol):
         self._transport = cast(asyncio.Transport, transport)  # uvloop's is no subclass of it
         connection = transport.get_extra_info("socket")
         connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, BACKLOG)
-        if not isinstance(asyncio.get_running_loop(), Simulated):
-            # A bus may be silent for ever, and the protocol has no heartbeat.
-            keep_alive(connection)
+        # A bus may be silent for ever, and the protocol has no heartbeat.
+        keep_alive(connection)
 
     def connection_lost(self, exc: Exception | None) -> None:
         """The server has hung up, unless we have."""

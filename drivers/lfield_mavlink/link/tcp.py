@@ -8,7 +8,6 @@ from socket import SOCK_STREAM
 from typing import cast
 
 from lfield.driver.network import Attempts, Lookup, keep_alive
-from lfield.loop import Simulated
 from lfield_mavlink.link.events import AGAIN, ATTEMPT, LinkEvents, OnData, cannot_open, name_of, reason_of
 
 #: Seconds without a byte after which a connection is given up: an autopilot's heartbeat comes each second.
@@ -53,8 +52,7 @@ class TcpLink:
                 failures.append(f"{address[0]}: {reason_of(error)}")
             else:
                 made.where = str(address[0])
-                if not isinstance(loop, Simulated):
-                    keep_alive(transport.get_extra_info("socket"))
+                keep_alive(transport.get_extra_info("socket"))
                 return made
         raise OSError("; ".join(failures))
 

@@ -53,8 +53,10 @@ class Lookup:
         return list(dict.fromkeys((family, tuple(address)) for family, _, _, _, address in asking.result()))
 
 
-def keep_alive(connection: socket.socket) -> None:
-    """Have the kernel end a TCP connection whose path is dead, within some 5 s."""
+def keep_alive(connection: Any) -> None:
+    """Have the kernel end a TCP connection whose path is dead, within some 5 s; not a simulated one."""
+    if isinstance(asyncio.get_running_loop(), Simulated):
+        return
     for option, value in (
         (socket.TCP_KEEPIDLE, _IDLE),
         (socket.TCP_KEEPINTVL, _INTERVAL),

@@ -279,7 +279,8 @@ def test_what_the_log_says_of_attempts_is_said_once_in_a_while():
     assert tries.lost("it hung up", 1.0).startswith("tcp:10.0.0.5:5760 is lost: it hung up")
     lines = [tries.failed("No route to host", 2.0 + number) for number in range(60)]
     assert lines[0] == "tcp:10.0.0.5:5760 is not open yet: No route to host (attempt 1)"
-    assert [number for number, line in enumerate(lines) if line] == [0, int(SAY_AGAIN) - 1, 2 * int(SAY_AGAIN) - 1]
+    again = int(SAY_AGAIN)
+    assert [number for number, line in enumerate(lines) if line] == [0, again - 1, 2 * again - 1]
     assert tries.failed("Connection refused", 62.0).endswith("(attempt 61)")
     line = tries.opened("connected to 10.0.0.6", 63.0)
     assert line == "tcp:10.0.0.5:5760 is open again: connected to 10.0.0.6, after 62 attempts and 62 s"
