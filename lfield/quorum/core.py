@@ -190,18 +190,15 @@ class Quorum:
                 return self._on_promise(host, message, now)
 
     def _on_heartbeat(self, host: str, message: Heartbeat, now: float) -> list[Effect]:
-        effects: list[Effect] = []
         for held in message.held:
             self._heard(host, held.agent, held.generation, now)
-            effects += self.terminations.settled(held.agent, held.generation)
         known = message.fences == self.terminations.digest
         fences, ended = ([], []) if known else (self.fences.all, self.terminations.all)
         # Number 0 is of no heartbeat: it tells the fences, and gives no lease.
         number = message.number if self.remembers else 0
         # A part of them would be no better than none: no lease is given then.
-        if len(fences) <= MOST and len(ended) <= MOST:
-            effects.append(Tell(host, Ack(message.life, number, fences, ended)))
-        return effects
+        whole = len(fences) <= MOST and len(ended) <= MOST
+        return [Tell(host, Ack(message.life, number, fences, ended))] if whole else []
 
     def _heard(self, host: str, agent: str, generation: int, now: float) -> None:
         """A host holds an agent, or is about to."""

@@ -124,16 +124,8 @@ class Terminations:
                 effects.append(Tell(promised.host, self.refusal(ended, promised.fence)))
         return effects
 
-    def settled(self, agent: str, generation: int) -> list[Effect]:
-        """A start of that generation is alive, so a recovery up to it begins no more, or has begun."""
-        promised = self._promised.get(agent)
-        if promised is None or generation < promised.fence:
-            return []
-        del self._promised[agent]
-        return self.release(agent)
-
     def conceded(self, host: str, ended: Ended) -> list[Effect]:
-        """A host knows of a termination: if it was promised a recovery, it begins none from before that."""
+        """A host knows of a termination: if it was promised a recovery, that has begun or never will."""
         promised, waits = self._promised.get(ended.agent), self._waiting.get(ended.agent)
         if promised is None or promised.host != host or waits is None:
             return []
