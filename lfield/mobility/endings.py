@@ -132,7 +132,7 @@ class Endings:
         return self.fence(ended.agent, ended.generation, ended.host) + self._learn(ended, self.is_delayed)
 
     def terminated(self, ended: Ended) -> list[Effect]:
-        """`learn`, for an ending that need not wait any more; the host where it ended hears that it is known."""
+        """`learn`, for an ending that need not wait any more; it is confirmed to the host where it ended."""
         effects = self._learn(ended, lambda ended: False)
         if ended.host in self._links:
             effects.append(Send(ended.host, EndedAck(ended.agent, ended.generation)))

@@ -197,8 +197,8 @@ def test_the_same_life_may_have_a_second_link():
 @pytest.mark.parametrize(
     ("message", "sentence"),
     [
-        (ForeignHello(8), "a speaks protocol 7 and its peer protocol 8; install the same version"),
-        (ForeignHello(3), "a speaks protocol 7 and its peer protocol 3; install the same version"),
+        (ForeignHello(9), "a speaks protocol 8 and its peer protocol 9; install the same version"),
+        (ForeignHello(3), "a speaks protocol 8 and its peer protocol 3; install the same version"),
         (hello(program=b"q" * 32), "a has program 707070707070 and b has program 717171717171"),
         (hello(deployment=b"q" * 32), "a has deployment 646464646464 and b has deployment 7171"),
         (hello(registry=b"q" * 32), "a has registry 727272727272 and b has registry 7171"),

@@ -9,6 +9,9 @@ import pytest
 from lfield.mission.load import load_mission
 from lfield.mission.mission import Mission
 from lfield.simulate.fleet import Fleet
+from lfield.simulate.judging.breaches import Breaches
+from lfield.simulate.judging.terminated import Terminated
+from lfield.wire.observing import Recover
 
 PROGRAM = """
 resource Valve {
@@ -45,17 +48,155 @@ def said(fleet: Fleet, what: str) -> list[tuple[float, str, str]]:
     return [line for line in fleet.log if what in line[2]]
 
 
+def judged(mission: Mission, seed: int = 1) -> tuple[Fleet, Breaches]:
+    """A fleet, and what the judge of terminations finds in it."""
+    fleet: Fleet
+
+    def latest(agent: str, below: int) -> int:
+        rows = (row for life in fleet.lives.values() for row in life.core.mobility.knowledge())
+        return max((row.generation for row in rows if row.generation < below), default=0)
+
+    breaches = Breaches(lambda: fleet.now)
+    judge = Terminated(breaches, lambda: fleet, latest)
+    fleet = Fleet(mission, seed, born=lambda name, life: judge.born(life))
+    return fleet, breaches
+
+
+def states(fleet: Fleet) -> dict[str, list[tuple[int, str, str]]]:
+    """What each host that is up knows of boss: start, state, outcome."""
+    return {
+        name: [(row.generation, row.state, row.outcome) for row in life.core.mobility.knowledge()]
+        for name, life in fleet.lives.items()
+    }
+
+
+def run_until_ended(fleet: Fleet, host: str = "b") -> None:
+    for _ in range(60):
+        if states(fleet)[host] == [(1, "EXITED", "done")]:
+            return
+        fleet.run(0.05)
+    raise AssertionError(f"boss has not ended: {states(fleet)}")
+
+
 @pytest.mark.parametrize("end", ENDS)
 def test_a_coordinator_whose_end_a_third_host_knows_is_not_recovered(tmp_path: Path, end: str) -> None:
-    fleet = Fleet(mission(tmp_path, end), 1)
+    fleet, breaches = judged(mission(tmp_path, end))
     fleet.run(0.8)
     fleet.cut("a", "b")
     fleet.run(8.2)
     fleet.heal_all()
     fleet.run(20.0)
+    assert not breaches
     assert [where for _, where, _ in said(fleet, "turned 1")] == ["b"]
     assert not said(fleet, "recovered")
     assert not said(fleet, "turned 2")
     for life in fleet.lives.values():
         (row,) = life.core.mobility.knowledge()
         assert (row.agent, row.state, row.outcome, row.where) == ("boss", "EXITED", end, "b")
+
+
+def test_gossip_brings_an_end_to_who_has_no_link_with_its_host(tmp_path: Path) -> None:
+    fleet, _ = judged(mission(tmp_path))
+    fleet.run(0.8)
+    fleet.cut("a", "b")
+    run_until_ended(fleet)
+    fleet.run(1.0)
+    assert states(fleet) == {key: [(1, "EXITED", "done")] for key in "abc"}
+
+
+@pytest.mark.parametrize("again", ["crash", "power_off"])
+def test_who_knows_an_end_knows_it_after_a_restart(tmp_path: Path, again: str) -> None:
+    fleet, breaches = judged(mission(tmp_path))
+    fleet.run(0.8)
+    for other in "bc":
+        fleet.cut("a", other)
+    run_until_ended(fleet)
+    run_until_ended(fleet, "c")
+    fleet.power_off("b")
+    getattr(fleet, again)("c")
+    fleet.boot("c")
+    fleet.heal("a", "c")
+    fleet.run(30.0)
+    assert not breaches
+    assert not said(fleet, "recovered")
+    assert states(fleet) == {key: [(1, "EXITED", "done")] for key in "ac"}
+
+
+def test_a_member_with_a_new_disk_hears_of_the_end_before_it_promises(tmp_path: Path) -> None:
+    fleet, breaches = judged(mission(tmp_path))
+    fleet.run(0.8)
+    for other in "bc":
+        fleet.cut("a", other)
+    run_until_ended(fleet)
+    run_until_ended(fleet, "c")
+    fleet.power_off("b")
+    fleet.power_off("c")
+    fleet.lose_disk("c")
+    fleet.boot("c")
+    fleet.heal("a", "c")
+    fleet.run(20.0)
+    assert not said(fleet, "recovered")
+    fleet.heal_all()
+    fleet.run(0.1)
+    fleet.run(20.0)
+    assert not breaches
+    assert not said(fleet, "recovered")
+    assert states(fleet) == {key: [(1, "EXITED", "done")] for key in "abc"}
+
+
+def test_an_end_that_only_its_host_knows_is_not_final_and_says_nothing_new_afterwards(tmp_path: Path) -> None:
+    """The host that has it is cut off from all others: it has no lease, and they go on."""
+    fleet, breaches = judged(mission(tmp_path))
+    fleet.run(0.8)
+    for other in "ac":
+        fleet.cut("b", other)
+    fleet.run(10.0)
+    assert said(fleet, "boss is recovered here")
+    fleet.heal_all()
+    fleet.run(20.0)
+    assert not breaches
+    assert said(fleet, "turned 2")
+    for rows in states(fleet).values():
+        assert {outcome for generation, _, outcome in rows if generation > 1} == {"done"}
+
+
+def test_an_operator_does_not_recover_what_has_ended(tmp_path: Path) -> None:
+    fleet, breaches = judged(mission(tmp_path))
+    fleet.run(0.8)
+    fleet.cut("a", "b")
+    row = fleet.lives["a"].core.mobility.recoverable("boss")
+    assert row is not None
+    word = Recover("boss", row.generation, row.sequence, row.generation)
+    run_until_ended(fleet)
+    fleet.run(1.0)
+    answer = fleet.lives["a"].core.recover(word)
+    assert (answer.generation, "boss has ended on b (done)" in answer.reason) == (0, True)
+    assert not breaches
+
+
+def test_an_operator_recovers_nothing_under_leases_where_no_majority_is_heard(tmp_path: Path) -> None:
+    fleet, _ = judged(mission(tmp_path))
+    fleet.run(0.8)
+    for other in "bc":
+        fleet.cut("a", other)
+    row = fleet.lives["a"].core.mobility.recoverable("boss")
+    assert row is not None
+    fleet.run(3.0)
+    word = Recover("boss", row.generation, row.sequence, row.generation)
+    answer = fleet.lives["a"].core.recover(word)
+    assert (answer.generation, "a hears no majority of the members" in answer.reason) == (0, True)
+
+
+def test_a_new_run_of_the_mission_starts_what_has_ended(tmp_path: Path) -> None:
+    fleet, breaches = judged(mission(tmp_path))
+    fleet.run(6.0)
+    assert states(fleet) == {key: [(1, "EXITED", "done")] for key in "abc"}
+    for name in "abc":
+        fleet.stop(name)
+    fleet.run(10.0)
+    for name in "abc":
+        fleet.boot(name)
+    fleet.run(10.0)
+    assert len(said(fleet, "turned 1")) == 2
+    assert not breaches
+    assert states(fleet) == {key: [(1, "EXITED", "done"), (2, "EXITED", "done")] for key in "abc"}

@@ -233,7 +233,7 @@ class Leases:
         return self._team.mobility.over(agent, generation)
 
     def why_not_recovered(self, agent: str, generation: int) -> str:
-        """Why an operator must not have a coordinator recovered here from its start `generation`; '' if he may."""
+        """Why an operator may not recover a coordinator here from its start `generation`; '' if they may."""
         ended = self._team.mobility.termination(agent)
         if agent in self.fenced and (known := self.quorum.terminations.covers(agent, generation)):
             return f"{agent} has ended on {known.host} ({known.outcome}): there is nothing to go on with"
