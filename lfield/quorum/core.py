@@ -251,12 +251,9 @@ class Quorum:
 
     def _on_termination(self, host: str, agent: str, ended: Ended | None, now: float) -> list[Effect]:
         """A host knows that a coordinator has terminated."""
-        if (
-            ended is None
-            or ended.agent != agent
-            or agent not in self._agents
-            or ended.outcome not in TERMINAL
-        ):
+        if ended is None or ended.agent != agent or agent not in self._agents:
+            return []
+        if ended.outcome not in TERMINAL:
             return []
         effects = self.terminations.conceded(host, ended)
         if self.terminations.covers(agent, ended.generation):
@@ -270,7 +267,7 @@ class Quorum:
         return effects
 
     def is_delayed(self, ended: Ended, now: float) -> bool:
-        """Whether a termination that another host tells of must not come to the disk yet, nor be confirmed."""
+        """Whether a termination elsewhere must not come to the disk yet, nor be confirmed."""
         if not self._is_member or not self.terminations.is_delayed(ended, now):
             return False
         self._next = None if self._next is None else min(self._next, now)

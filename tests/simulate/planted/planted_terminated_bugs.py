@@ -1,4 +1,4 @@
-"""What keeps a coordinator that has terminated from being recovered, each left out: a judge must see the recovery."""
+"""What keeps a coordinator that has terminated from being recovered, each left out: the judge must see it."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ from planted_bugs import Bug, Patch
 
 from lfield.host.team.leases import Leases
 from lfield.quorum.core import Quorum
-from lfield.quorum.effects import Saved
 from lfield.quorum.terminations import Terminations
 from lfield.simulate.stories.story import ending
 
@@ -37,16 +36,16 @@ def a_promise_in_spite_of_a_known_end(patch: Patch) -> None:
     patch.setattr(Terminations, "all", property(lambda self: []))
 
 
-def an_end_is_final_at_once(patch: Patch) -> None:
-    """The host where it ended does not name itself holder until a majority has it."""
-    saved_end = Leases._saved_end
+def a_refusal_counts_as_a_promise(patch: Patch) -> None:
+    """A member refuses since it knows the end, and the proposer does not look why it was answered."""
+    on_promise = Quorum._on_promise
 
-    def final(self: Leases, agent: str) -> Saved | None:
-        saved = saved_end(self, agent)
-        return saved._replace(final=True) if saved is not None else None
+    def counted(self: Quorum, host: str, message: Any, now: float) -> Any:
+        plain = structs.replace(message, ended=None, fence=message.generation)
+        return on_promise(self, host, plain, now)
 
-    patch.setattr(Leases, "_saved_end", final)
-    patch.setattr(Terminations, "all", property(lambda self: []))
+    patch.setattr(Quorum, "_on_promise", counted)
+    patch.setattr(Quorum, "_on_termination", lambda self, *more: [])
 
 
 def an_end_is_written_down_in_spite_of_a_promise(patch: Patch) -> None:
