@@ -1,10 +1,10 @@
 """What one host knows of coordinators that have terminated, and what it may not yet write down. Pure.
 
 A termination is final once a majority of the members has it on disk: every majority of promises then
-contains a member that knows it, and refuses. A member that has promised a recovery before it hears of the termination
-has that majority the other way round: were it to write the termination down now, that could become final while
-the recovery goes on. So it tells the proposer, and waits until the recovery cannot begin any more (`VALID`).
-All quorum answers have what waits here, too.
+contains a member that knows it, and refuses. A member that has promised a recovery before it hears of the
+termination is in none of those majorities: were it to write the termination down at once, that could become
+final while the recovery begins. So it tells the proposer, and waits until the recovery has begun or cannot
+begin any more (`VALID`). All its answers carry what waits here, too.
 """
 
 from __future__ import annotations
