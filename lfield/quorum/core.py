@@ -15,8 +15,8 @@ from lfield.quorum.effects import Bar, Copies, Effect, Tell, Terminate
 from lfield.quorum.lease import Lease
 from lfield.quorum.members import Fences, Members
 from lfield.quorum.recovery import Recoveries
-from lfield.quorum.terminations import TERMINAL, Terminations
-from lfield.wire.coordinators import Ended
+from lfield.quorum.terminations import Terminations
+from lfield.wire.coordinators import TERMINAL, Ended
 from lfield.wire.fields import age
 from lfield.wire.quorum import (
     MOST,

@@ -17,15 +17,13 @@ from msgspec import structs
 
 from lfield.quorum.effects import Copies, Effect, Tell, Terminate
 from lfield.quorum.members import DRIFT, Fences, Members
-from lfield.wire.coordinators import Ended
+from lfield.wire.coordinators import TERMINAL, Ended
 from lfield.wire.fields import MAX_LABEL, clip
 from lfield.wire.quorum import Promise
 
 #: An attempt to recover may begin the new start for so many leases after its proposal, and never later. That
 #: is long enough for a host that was stopped for a minute; nothing waits for it while the proposer answers.
 VALID = 40.0
-#: The outcomes that terminate a coordinator; 'superseded' is about one start of it only.
-TERMINAL = ("done", "died", "lost")
 
 
 @dataclass(slots=True)

@@ -7,10 +7,10 @@ I4  no portal call is started twice, and none is skipped without being told
 I5  at every moment some disk holds a state to go on from (`saved.py`)
 
 Of a coordinator that a majority may recover a copy may stand beside its successor, as long as it begins no
-call and commands no device once that one goes on (`calls.py`, `devices.py`); none is recovered that is known
-to have ended (`terminated.py`). Calls begun together do not outlive their block (`blocks.py`), what is reserved
-is its holder's alone (`reserved.py`). Beside them: no start has the number of an earlier one, nobody is called
-lost who lives, no device moves for nobody or has two owners, no host fails, and whoever may go on does.
+call and commands no device once that one goes on (`calls.py`, `devices.py`). None is recovered that is known
+to have ended (`terminated.py`). Calls begun together do not outlive their block (`blocks.py`), what is
+reserved is its holder's alone (`reserved.py`). Beside them: no start has the number of an earlier one, nobody
+is called lost who lives, no device moves for nobody or has two owners, no host fails, all that may go on do.
 """
 
 from __future__ import annotations
