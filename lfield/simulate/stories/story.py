@@ -291,10 +291,10 @@ def ending(seed: int) -> Story:
         cast=hosts,
         hosts=hosts,
         witnesses=dice.choice((0, 1)),
-        calls=dice.randint(1, 12),
-        stay=dice.choice((0.3, 1.0)),
+        calls=dice.randint(1, 8),
+        stay=dice.choice((0.04, 1.0)),
         stays=dice.choice(STAYS_ON),
-        means={kind: dice.uniform(0.5, 3.0) for kind in kinds},
+        means={kind: dice.uniform(0.5, 4.0) for kind in kinds},
     )
 
 

@@ -36,18 +36,6 @@ def a_promise_in_spite_of_a_known_end(patch: Patch) -> None:
     patch.setattr(Terminations, "all", property(lambda self: []))
 
 
-def a_refusal_counts_as_a_promise(patch: Patch) -> None:
-    """A member refuses since it knows the end, and the proposer does not look why it was answered."""
-    on_promise = Quorum._on_promise
-
-    def counted(self: Quorum, host: str, message: Any, now: float) -> Any:
-        plain = structs.replace(message, ended=None, fence=message.generation)
-        return on_promise(self, host, plain, now)
-
-    patch.setattr(Quorum, "_on_promise", counted)
-    patch.setattr(Quorum, "_on_termination", lambda self, *more: [])
-
-
 def an_end_is_written_down_in_spite_of_a_promise(patch: Patch) -> None:
     """It becomes final while the recovery that was promised begins, and its proposer is not told."""
     patch.setattr(Terminations, "is_delayed", lambda self, ended, now: False)
@@ -59,6 +47,11 @@ def _bug(plant: Any, why: str, seed: int) -> Bug:
 
 
 TERMINATED_BUGS = [
-    _bug(an_end_is_like_nothing_known, "who knows the end answers as who has never heard of it", 0),
-    _bug(a_promise_in_spite_of_a_known_end, "a member promises what it knows to have terminated", 0),
+    _bug(an_end_is_like_nothing_known, "who knows the end answers as who has never heard of it", 2),
+    _bug(a_promise_in_spite_of_a_known_end, "a member promises what it knows to have terminated", 2),
+    _bug(
+        an_end_is_written_down_in_spite_of_a_promise,
+        "a majority has the end on disk while the recovery that one of it has promised begins",
+        32,
+    ),
 ]

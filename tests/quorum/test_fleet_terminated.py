@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import random
 from pathlib import Path
 
 import pytest
@@ -200,3 +201,26 @@ def test_a_new_run_of_the_mission_starts_what_has_ended(tmp_path: Path) -> None:
     assert len(said(fleet, "turned 1")) == 2
     assert not breaches
     assert states(fleet) == {key: [(1, "EXITED", "done"), (2, "EXITED", "done")] for key in "abc"}
+
+
+@pytest.mark.few(2)
+@pytest.mark.parametrize("seed", range(24))
+def test_whenever_links_are_cut_what_is_final_stays_so(tmp_path: Path, seed: int) -> None:
+    """Random cuts around the end of boss, in teams of three to five; every end of a start comes once."""
+    dice = random.Random(seed)
+    team = TEAM + "".join(f"//@{name}\n" for name in "de"[: dice.randrange(3)])
+    fleet, breaches = judged(mission(tmp_path, team=team), seed)
+    names = sorted(fleet.lives)
+    fleet.run(dice.uniform(0.3, 1.6))
+    for _ in range(6):
+        one, other = dice.sample(names, 2)
+        fleet.cut(one, other)
+        if dice.random() < 0.5:
+            fleet.heal(*dice.sample(names, 2))
+        fleet.run(dice.uniform(0.1, 4.0))
+    fleet.heal_all()
+    fleet.run(40.0)
+    assert not breaches
+    for rows in states(fleet).values():
+        assert all(state == "EXITED" for _, state, _ in rows)
+        assert max(rows)[2] == "done"
