@@ -325,8 +325,7 @@ class HostCore:
 
     def recover(self, word: Recover) -> Recovered:
         """A person says that whoever held a coordinator is gone for good: this host goes on with it."""
-        fence = self._leases.quorum.fences.of(word.agent)
-        return words.recover(self.coordinators, self.name, self.here, word, fence)
+        return words.recover(self.coordinators, self._leases, self.name, self.here, word)
 
     def pass_on(self, found: Iterable[Fate]) -> None:
         """This host is about to go: whoever can be reached is told of all endings, and of what it found."""

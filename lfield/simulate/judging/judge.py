@@ -7,10 +7,10 @@ I4  no portal call is started twice, and none is skipped without being told
 I5  at every moment some disk holds a state to go on from (`saved.py`)
 
 Of a coordinator that a majority may recover a copy may stand beside its successor, as long as it begins no
-call and commands no device once that one goes on (`calls.py`, `devices.py`). Calls that are begun together
-do not outlive their block (`blocks.py`), and what is reserved is its holder's alone (`reserved.py`). Beside
-them: no start has the number of an earlier one, nobody is called lost who lives, no device moves for nobody
-or has two owners, no host fails, and whoever may go on after the weather does.
+call and commands no device once that one goes on (`calls.py`, `devices.py`). None is recovered that is known
+to have ended (`terminated.py`). Calls begun together do not outlive their block (`blocks.py`), what is
+reserved is its holder's alone (`reserved.py`). Beside them: no start has the number of an earlier one, nobody
+is called lost who lives, no device moves for nobody or has two owners, no host fails, all that may go on do.
 """
 
 from __future__ import annotations
@@ -29,6 +29,7 @@ from lfield.simulate.judging.devices import Devices
 from lfield.simulate.judging.reserved import Reserved
 from lfield.simulate.judging.results import Results
 from lfield.simulate.judging.saved import nowhere, shadowed
+from lfield.simulate.judging.terminated import Terminated
 from lfield.simulate.judging.witness import tap
 from lfield.vm.agent import Agent
 from lfield.vm.begun import Key
@@ -86,6 +87,7 @@ class Judge:
             self._newest_at,
             self._on_disk,
         )
+        self._terminated = Terminated(self.breaches, lambda: self.fleet, self._latest_below)
         #: What is seen of reservations goes to whoever judges them.
         self.given, self.dropped = self.reserved.given, self.reserved.dropped
         self.asked, self.renewed = self.reserved.asked, self.reserved.renewed
@@ -115,6 +117,7 @@ class Judge:
             self._disks_of[name] = memory
             self.reserved.lost_disk(member.id for member in life.core.team.on(life.core.here))
         tap(life, self)
+        self._terminated.born(life)
 
     @property
     def calls(self) -> int:
@@ -129,6 +132,10 @@ class Judge:
     def _newest_at(self, agent: str, when: float) -> int:
         """The last recovery of an agent that had gone on at that time, 0 for none."""
         return max((start for start, at in self._gone_on[agent].items() if at < when), default=0)
+
+    def _latest_below(self, agent: str, generation: int) -> int:
+        """The last start of an agent before that one, 0 for none."""
+        return max((s for name, s in self._starts if name == agent and s < generation), default=0)
 
     # --- what is seen: copies ---------------------------------------------------------------------------
 
@@ -284,6 +291,7 @@ class Judge:
         self._told = len(self.fleet.log)
         if self.fleet.keeps:
             self._disks()
+            self._terminated.look()
 
     def _disks(self) -> None:
         going = [(agent, self._latest(agent)) for agent in self._newest if agent not in self._calls.over]

@@ -119,7 +119,7 @@ def tap(life: Life, sees: Sees) -> None:
         (machine, start), (machine, admit), (machine, restore), (machine, resume), (machine, kept_result),
         (core, arrived), (core, run), (core.world, write), (core.world, log), (peers, send_transfer),
     ):  # fmt: skip
-        _tap(place, wire)
+        tap_calls(place, wire)
     _tap_reservations(life, sees)
 
 
@@ -152,10 +152,10 @@ def _tap_reservations(life: Life, sees: Sees) -> None:
         go(host, message)
 
     for place, wire in ((core.world, take), (core.world, drop), (core.world, serves), (core, received)):
-        _tap(place, wire)
+        tap_calls(place, wire)
 
 
-def _tap(place: object, wire: Callable[..., Any]) -> None:
+def tap_calls(place: object, wire: Callable[..., Any]) -> None:
     """Lead every call of a method of this name through `wire`, which is given the method first."""
     go = getattr(place, wire.__name__)
 

@@ -100,7 +100,7 @@ KEEP = 0.75
 STAYS, STAYS_ON = 8, (26, 31, 31)
 #: Of what kinds stories of hosts with journals are. Of coordinators that a majority may recover they have
 #: nothing that leases do not hold under, and more time, in seconds.
-KEPT, DOUBTFUL = ("plain", "plain", "fenced", "doubted"), ("doubted", "parted")
+KEPT, DOUBTFUL = ("plain", "plain", "fenced", "doubted"), ("doubted", "parted", "ending")
 NOT_FENCED, LONGER = ("disk_new", "race"), 6.0
 #: What lets a host doubt another one that goes on; how likely each is then.
 DOUBTS, LIKELY_DOUBT = ("cut", "mute", "island", "stop", "kill"), 0.6
@@ -280,6 +280,24 @@ def parted(seed: int) -> Story:
     return replace(doubted(seed), kind="parted", means={"swap": mean})
 
 
+def ending(seed: int) -> Story:
+    """One of coordinators that terminate soon, while some hosts hear of that and others do not."""
+    story, dice = doubted(seed), random.Random(f"ending {seed}")
+    hosts = dice.choice((3, 3, 4, 5))
+    kinds = ["cut", *(kind for kind in DOUBTS[1:] if dice.random() < LIKELY)]
+    return replace(
+        story,
+        kind="ending",
+        cast=hosts,
+        hosts=hosts,
+        witnesses=dice.choice((0, 1)),
+        calls=dice.randint(1, 8),
+        stay=dice.choice((0.04, 1.0)),
+        stays=dice.choice(STAYS_ON),
+        means={kind: dice.uniform(0.5, 4.0) for kind in kinds},
+    )
+
+
 def crew(seed: int) -> Story:
     """One of coordinators that have several resources work at a time; a majority may recover some of them."""
     dice = random.Random(f"crew {seed}")
@@ -321,6 +339,7 @@ KINDS: Mapping[str, Callable[[int], Story]] = {
     "fenced": fenced,
     "doubted": doubted,
     "parted": parted,
+    "ending": ending,
     "crew": crew,
     "keeper": keeper,
 }
