@@ -28,7 +28,7 @@ from lfield.journal.pages import Page
 from lfield.mission.mission import Mission
 from lfield.net.tcp import TcpTransport
 from lfield.simulate.computers.computer import Computer, Process
-from lfield.simulate.computers.loop import generators
+from lfield.simulate.computers.loop import generators, release
 from lfield.simulate.computers.machines import Machine
 from lfield.simulate.computers.network import Network
 from lfield.simulate.computers.timeline import Timeline
@@ -181,9 +181,11 @@ class Fleet:
         return [page for name, disk in self.disks.items() if name not in self.gone for page in disk.pages()]
 
     def close(self) -> None:
-        """End all that runs, at once: nothing is left of it."""
+        """End all that runs, at once, and free its memory."""
         for name in self.computers:
             self.power_off(name)
+        for machine in self.machines.values():
+            release(machine)
 
     def lose_disk(self, name: str) -> None:
         """Its disk is replaced by an empty one."""
