@@ -26,6 +26,7 @@ from lfield.simulate.judging.blocks import Blocks
 from lfield.simulate.judging.breaches import Breach, Breaches
 from lfield.simulate.judging.calls import Calls
 from lfield.simulate.judging.devices import Devices
+from lfield.simulate.judging.orders import Orders
 from lfield.simulate.judging.reserved import Reserved
 from lfield.simulate.judging.results import Results
 from lfield.simulate.judging.saved import nowhere, shadowed
@@ -86,6 +87,7 @@ class Judge:
             self._newest_at,
             self._on_disk,
         )
+        self.orders = Orders(self.breaches, lambda: self.fleet.now, lambda: self.fleet.keeps)
         #: What is seen of reservations goes to whoever judges them.
         self.given, self.dropped = self.reserved.given, self.reserved.dropped
         self.asked, self.renewed = self.reserved.asked, self.reserved.renewed
@@ -114,7 +116,20 @@ class Judge:
         if self._disks_of.setdefault(name, memory) != memory:
             self._disks_of[name] = memory
             self.reserved.lost_disk(member.id for member in life.core.team.on(life.core.here))
+            self.orders.lost_disk(name)
+        self.orders.born(name)
         tap(life, self)
+        self._meter(life)
+
+    def _meter(self, life: Life) -> None:
+        charge = life.core.machine.attached.meter
+        assert charge is not None
+
+        def computed(instructions: int) -> None:
+            self.orders.computed(life)
+            charge(instructions)
+
+        life.core.machine.attached.meter = computed
 
     @property
     def calls(self) -> int:
@@ -241,6 +256,7 @@ class Judge:
         for agent in self._agents[life]:
             self._starts[agent.id, agent.generation].running.discard(life)
         for agent in run:
+            self.orders.runs(life, agent)
             self._runs(life, (agent.id, agent.generation))
         self._agents[life] = here
 
@@ -270,6 +286,11 @@ class Judge:
         team = self.fleet.mission.team
         return team.hosts[team.members[member].host]
 
+    def _host_of(self, device: str) -> str:
+        agent = next(found.agent for found in self.fleet.mission.bindings.all if found.name == device)
+        team = self.fleet.mission.team
+        return next(team.hosts[member.host] for member in team.members if member.id == agent)
+
     def _on_disk(self, name: str) -> list[Page] | None:
         return self.fleet.disks[name].pages() if self.fleet.keeps else None
 
@@ -279,6 +300,7 @@ class Judge:
         """Look at devices and logs; several times a second."""
         for name, hardware in self.fleet.hardware.items():
             self._devices.look(name, hardware, self.fleet.now)
+            self.orders.look(self._host_of(name), name, hardware)
         for at, host, text in self.fleet.log[self._told :]:
             self._line(at, host, text)
         self._told = len(self.fleet.log)
@@ -286,7 +308,8 @@ class Judge:
             self._disks()
 
     def _disks(self) -> None:
-        going = [(agent, self._latest(agent)) for agent in self._newest if agent not in self._calls.over]
+        latest = [(agent, self._latest(agent)) for agent in self._newest if agent not in self._calls.over]
+        going = [(agent, start) for agent, start in latest if not self.orders.is_given_up(agent, start)]
         kept = [(name, page) for name, disk in self.fleet.disks.items() for page in disk.pages()]
         for name, page in kept:
             self._is_saved(name, page)
@@ -326,6 +349,8 @@ class Judge:
         return not runs and any(self._is_gone(page.target, page.memory) for page in sent)
 
     def _is_gone(self, name: str, memory: int) -> bool:
+        if name in self.fleet.gone and not self.fleet.mission.fenced:
+            return True
         return self.fleet.disks[name].identity != self._memories.get(memory, memory)
 
     def _line(self, at: float, host: str, text: str) -> None:
@@ -369,6 +394,10 @@ class Judge:
             return shadowed(agent, self.fleet.pages_left)
         if generation := self._latest(agent):
             start = agent, generation
+            if self.orders.is_given_up(*start):
+                return False
+            if self.fleet.gone and self._doubtful(start):
+                return self.orders.recovers and shadowed(agent, self.fleet.pages_left)
             if self.fleet.keeps:
                 return not self._doubtful(start)
             return not any(life.process.loop.dead for life in self._starts[start].holders)

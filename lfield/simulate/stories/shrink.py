@@ -59,7 +59,7 @@ def _smaller(verdict: Verdict) -> Iterator[Story]:
 def command(story: Story) -> str:
     """The one command that tells this story again."""
     usual, words = drawn(story.seed), [f"python -m lfield.simulate --story {story.seed}"]
-    if usual.kind != story.kind:
+    if (usual.kind, usual.means, usual.slowness) != (story.kind, story.means, story.slowness):
         usual = KINDS[story.kind](story.seed)
         words.append(f"--as {story.kind}")
     for name in ("hosts", "walkers", "arms", "seconds"):

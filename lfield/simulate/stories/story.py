@@ -14,11 +14,11 @@ from functools import lru_cache
 from pathlib import Path
 
 from lfield.bytecode.program import Program
-from lfield.mission.bindings import USUAL_LEASE, USUAL_RESERVATION, Recovery, ReservationTimes
+from lfield.mission.bindings import MOST_MEMBERS, USUAL_LEASE, USUAL_RESERVATION, ReservationTimes
 from lfield.mission.load import load_mission
 from lfield.mission.mission import Mission
-from lfield.simulate.stories import crews, keepers
-from lfield.simulate.weather import Fault, Weather
+from lfield.simulate.stories import crews, flown, keepers
+from lfield.simulate.weather import ORDERS, Fault, Weather
 
 #: Every start of a coordinator draws a number; with its name that is its *life*.
 PROGRAM = """
@@ -90,7 +90,7 @@ _PROGRAMS: dict[bytes, Program] = {}
 #: What a walker does that never ends.
 FOR_EVER = -1
 #: What may strike in any story.
-USUAL = [kind for kind in Weather.__dataclass_fields__ if kind != "swap"]
+USUAL = [kind for kind in Weather.__dataclass_fields__ if kind not in ("swap", "split", *ORDERS)]
 #: Seconds between two faults of a kind at least and at most, and how likely each kind is in a story.
 BETWEEN, LIKELY = (0.7, 6.0), 0.35
 #: So many stories are of hosts that keep journals; the others forget, as many a trial does.
@@ -112,6 +112,14 @@ INTERVALS, LEASES = (1.0, 1.0, 1.0, 2.0, 4.0, 10.0), (1.0, 2.0, 2.0, 4.0)
 CREWS, KEEPERS = 0.25, 0.5
 #: Seconds that a reservation of theirs lasts unheard, and that others wait for what is reserved.
 RESERVATIONS, RESERVED_WAITS = (1.0, 2.0, 4.0), (0.0, 0.5, 3.0, 10.0)
+#: How likely stories of these kinds are, beside all others.
+RARER = {"split": 0.12, "crowd": 0.04, "flown": 0.1, "wrecked": 0.06}
+#: So many stories are under orders of a person, and so many of those with devices; so many on slow computers.
+ORDERED, ORDERED_WITH_DEVICES, SLOW = 0.15, 0.35, 0.2
+#: How much slower, for all that runs beside.
+SLOWNESS = (10.0, 50.0, 200.0)
+#: So many hosts decide in a team of more than nine.
+DECIDERS = 5
 #: Seconds that a disk takes: one of a laptop, and one of a small board on a memory card.
 DISKS = (0.002, 0.002, 0.05)
 
@@ -126,7 +134,7 @@ class Story:
     `hosts` and `seconds` are what is left when a story is made smaller. With an `interval` a majority of the
     hosts may recover walkers, under leases of `lease`; then the last of them, `witnesses`, have no agents. A
     walker `stays` where it is so many of 32 times. What it reserves is its own for `reservation` unheard, and
-    others wait `reserved_wait` for it.
+    others wait `reserved_wait` for it. Code takes `slowness` times its usual processor time.
     """
 
     seed: int
@@ -150,6 +158,7 @@ class Story:
     stays: int = STAYS
     reservation: float = USUAL_RESERVATION
     reserved_wait: float = 0.0
+    slowness: float = 1.0
     keep: frozenset[int] | None = None
 
     @property
@@ -162,7 +171,8 @@ class Story:
         team = self.hosts, posts, self.walkers, self.arms
         program = PROGRAMS.get(self.kind, PROGRAM)
         times = self.lease, self.reservation, self.reserved_wait
-        return _mission(*team, "&".join(words), *times, program)
+        deciders = DECIDERS if self.hosts > MOST_MEMBERS else 0
+        return _mission(*team, "&".join(words), *times, program, deciders)
 
     @property
     def forecast(self) -> list[Fault]:
@@ -181,7 +191,25 @@ class Story:
 
 
 def drawn(seed: int) -> Story:
-    """The story of a seed."""
+    """The story of a seed: some are of larger teams, of wrecks, under orders of a person, on slow computers."""
+    dice = random.Random(f"beside {seed}")
+    kind = dice.choices([*RARER, ""], [*RARER.values(), 1.0 - sum(RARER.values())])[0]
+    story = KINDS[kind](seed) if kind else _usual(seed)
+    if story.arms and dice.random() < ORDERED_WITH_DEVICES or dice.random() < ORDERED:
+        orders = dice.choice((("estop",), ("pause",), ("estop", "pause")))
+        means = {order: dice.uniform(*OFTEN) for order in orders}
+        story = replace(story, means={**story.means, **means}, arms=max(story.arms, _arms(story)))
+    if dice.random() < SLOW:
+        story = replace(story, slowness=dice.choice(SLOWNESS))
+    return story
+
+
+def _arms(story: Story) -> int:
+    """How many arms a story under orders has at least: there must be devices that move."""
+    return 0 if story.kind in PROGRAMS else 1
+
+
+def _usual(seed: int) -> Story:
     story = plain(seed)
     if not story.journals:
         return forgetful(seed)
@@ -314,6 +342,64 @@ def keeper(seed: int) -> Story:
     )
 
 
+def split(seed: int) -> Story:
+    """One of a larger team that falls into two groups; the majority goes on with what the others had."""
+    story, dice = doubted(seed), random.Random(f"split {seed}")
+    hosts = dice.choice((4, 5, 5, 5, 6, 7))
+    means = {"split": dice.uniform(*OFTEN)} | {
+        kind: dice.uniform(*OFTEN) for kind in ("cut", "stop", "kill") if dice.random() < LIKELY
+    }
+    return replace(story, kind="split", cast=hosts, hosts=hosts, means=means)
+
+
+def crowd(seed: int) -> Story:
+    """One of a team of more than nine hosts: each keeps links with eight neighbours."""
+    dice = random.Random(f"crowd {seed}")
+    story = dice.choice((plain, plain, fenced))(seed)
+    hosts, seconds = dice.choice((10, 11, 13)), dice.uniform(4.0, 7.0) + (LONGER if story.interval else 0.0)
+    return replace(
+        story,
+        kind="crowd",
+        cast=hosts,
+        hosts=hosts,
+        walkers=dice.choice((1, 2)),
+        arms=min(story.arms, 1),
+        calls=FOR_EVER,
+        stay=0.04,
+        lost_after=None,
+        journals=True,
+        weather=seconds,
+        seconds=seconds,
+        witnesses=0,
+    )
+
+
+def flight(seed: int) -> Story:
+    """One of keepers whose resources have devices, on slow computers at times."""
+    story, dice = keeper(seed), random.Random(f"flown {seed}")
+    means = {kind: dice.uniform(*BETWEEN) for kind in ("guard_kill", "guard_stop") if dice.random() < LIKELY}
+    return replace(story, kind="flown", means={**story.means, **means})
+
+
+def wrecked(seed: int) -> Story:
+    """One in which a host is gone for good, and a person goes on with what it had, or gives that up."""
+    story, dice = plain(seed), random.Random(f"wrecked {seed}")
+    kinds = [kind for kind in DOUBTS if dice.random() < LIKELY]
+    seconds = story.weather + LONGER
+    return replace(
+        story,
+        kind="wrecked",
+        means={"wreck": seconds / 3.0} | {kind: dice.uniform(*OFTEN) for kind in kinds},
+        arms=min(story.arms, 1),
+        calls=FOR_EVER,
+        stay=0.04,
+        lost_after=None,
+        journals=True,
+        weather=seconds,
+        seconds=seconds,
+    )
+
+
 #: Stories by what becomes of their coordinators.
 KINDS: Mapping[str, Callable[[int], Story]] = {
     "plain": plain,
@@ -323,9 +409,13 @@ KINDS: Mapping[str, Callable[[int], Story]] = {
     "parted": parted,
     "crew": crew,
     "keeper": keeper,
+    "split": split,
+    "crowd": crowd,
+    "flown": flight,
+    "wrecked": wrecked,
 }
 #: What is flown where it is not the usual program.
-PROGRAMS = {"crew": crews.PROGRAM, "keeper": keepers.PROGRAM}
+PROGRAMS = {"crew": crews.PROGRAM, "keeper": keepers.PROGRAM, "flown": flown.PROGRAM}
 
 
 @lru_cache(maxsize=256)
@@ -339,6 +429,7 @@ def _mission(
     reservation: float,
     reserved_wait: float,
     program: str,
+    deciders: int,
 ) -> Mission:
     lines = [f"//Post:p{n}@h{n}" for n in range(posts)]
     lines += [f"//@h{n}" for n in range(posts, hosts)]
@@ -349,10 +440,14 @@ def _mission(
         deployment = Path(folder) / "story.dL"
         deployment.with_suffix(".L").write_text(program, encoding="utf-8")
         deployment.write_text("\n".join([*lines, ""]), encoding="utf-8")
+        if deciders:
+            members = ", ".join(f"h{n}" for n in range(deciders))
+            devices = f"recovery: {{members: [{members}]}}\n"
+            deployment.with_suffix(".devices.yaml").write_text(devices, encoding="utf-8")
         mission = load_mission(deployment, simulate=True)
     # What hosts prepare of a program is as large as they are: one program is enough.
     times = ReservationTimes(reservation, reserved_wait)
-    bindings = replace(mission.bindings, recovery=Recovery(lease), reservations=times)
+    bindings = replace(mission.bindings, recovery=replace(mission.bindings.recovery, lease=lease), reservations=times)
     return replace(
         mission, bindings=bindings, program=_PROGRAMS.setdefault(mission.program.digest, mission.program)
     )

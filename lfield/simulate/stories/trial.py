@@ -6,7 +6,8 @@ import contextlib
 import gc
 import hashlib
 import io
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 from lfield import exits
 from lfield.simulate.computers.timeline import Endless
@@ -29,7 +30,8 @@ PATIENCE = 25.0
 class Verdict:
     """What came of a story. `seconds` of virtual time; `faults` as they struck.
 
-    `calls` that began, `restarts` that a walker was told of, starts that a majority has `recovered`.
+    `calls` that began, `restarts` that a walker was told of, starts that a majority or a person has `recovered`,
+    `orders` of a person that hosts have carried out, by kind.
     """
 
     story: Story
@@ -40,6 +42,7 @@ class Verdict:
     calls: int
     restarts: int
     recovered: int
+    orders: Mapping[str, int] = field(default_factory=dict)
     log: tuple[tuple[float, str, str], ...] = ()
 
 
@@ -63,11 +66,12 @@ def _told(story: Story, *, keep_log: bool) -> Verdict:
         lost_after=story.lost_after,
         keeps=story.journals,
         born=judge.born,
+        slowness=story.slowness,
     )
     for disk in fleet.disks.values():
         disk.sync = story.sync
     fleet.timeline.most = MOST_EVENTS
-    storm = Storm(fleet, story.forecast)
+    storm = Storm(fleet, story.forecast, judge.orders)
     # A guard whose host is gone tells the terminal.
     with contextlib.redirect_stderr(io.StringIO()):
         _happen(fleet, storm, judge, story)
@@ -75,8 +79,9 @@ def _told(story: Story, *, keep_log: bool) -> Verdict:
     said = hashlib.sha256(f"{fleet.digest} {fleet.timeline.events} {storm.faults}".encode()).hexdigest()
     log = tuple(fleet.log) if keep_log else ()
     recovered, faults = judge.seen["recoveries"], tuple(storm.faults)
-    breaches = tuple(judge.breaches)
-    return Verdict(story, breaches, said, fleet.now, faults, judge.calls, judge.restarts, recovered, log)
+    breaches, orders = tuple(judge.breaches), dict(storm.operator.carried_out) if storm.operator else {}
+    counts = judge.calls, judge.restarts, recovered, orders
+    return Verdict(story, breaches, said, fleet.now, faults, *counts, log)
 
 
 def _happen(fleet: Fleet, storm: Storm, judge: Judge, story: Story) -> None:
@@ -91,6 +96,8 @@ def _happen(fleet: Fleet, storm: Storm, judge: Judge, story: Story) -> None:
     while judge.waits_for() and fleet.now < end and not judge.breaches:
         # One that stood still may end in order, or give the others up, just when all is well again.
         fleet.heal_all()
+        if storm.operator is not None:
+            storm.operator.free_all()
         if story.journals:
             fleet.recall(exits.UNHEARD)
         _until(fleet, judge, fleet.now + 1.0)
