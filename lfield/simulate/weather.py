@@ -23,6 +23,10 @@ LASTS = (0.05, 8.0)
 SLOW = (0.3, 2.0)
 #: Seconds that a process or a computer stands still for.
 STOPPED = (0.05, 6.0)
+#: For how long a team is split: the majority may go on with what the others have meanwhile.
+SPLIT = (4.0, 10.0)
+#: How long faults of some kinds last.
+LENGTHS = {"stop": STOPPED, "suspend": STOPPED, "guard_stop": STOPPED, "split": SPLIT}
 #: How fast a clock runs that drifts, as leases allow for; one that is broken; and by how many seconds a time
 #: of day jumps at most.
 DRIFT, RACE, JUMP = (0.99, 1.01), (0.9, 1.1), 1e7
@@ -85,7 +89,7 @@ class Weather:
             at = own.expovariate(1.0 / mean) if mean else seconds
             while at < seconds:
                 one, other = own.sample(hosts, 2) if len(hosts) > 1 else (hosts[0], hosts[0])
-                lasts = own.uniform(*(STOPPED if kind in ("stop", "suspend", "guard_stop") else LASTS))
+                lasts = own.uniform(*LENGTHS.get(kind, LASTS))
                 faults.append(Fault(at, kind, one, other, lasts, own.random()))
                 at += own.expovariate(1.0 / mean)
         return sorted(faults, key=lambda fault: fault.at)

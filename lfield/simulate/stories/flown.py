@@ -38,7 +38,7 @@ coordinator Walker {
             Post other = posts[random(posts.length())];
             int kind = random(8);
             int steps = 1 + random(4);
-            if (random(8) == 0) steps = 60;
+            if (random(8) == 0) steps = 30;
             string how = "done";
             try {
                 if (kind == 0) {

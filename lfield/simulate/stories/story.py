@@ -346,10 +346,22 @@ def split(seed: int) -> Story:
     """One of a larger team that falls into two groups; the majority goes on with what the others had."""
     story, dice = doubted(seed), random.Random(f"split {seed}")
     hosts = dice.choice((4, 5, 5, 5, 6, 7))
-    means = {"split": dice.uniform(*OFTEN)} | {
-        kind: dice.uniform(*OFTEN) for kind in ("cut", "stop", "kill") if dice.random() < LIKELY
-    }
-    return replace(story, kind="split", cast=hosts, hosts=hosts, means=means)
+    means = {"split": dice.uniform(*OFTEN)}
+    means |= {kind: dice.uniform(*OFTEN) for kind in ("cut", "stop", "kill") if dice.random() < 0.5 * LIKELY}
+    lease = dice.choice((1.0, 2.0))
+    seconds = DOUBTED + 2.0 * lease
+    return replace(
+        story,
+        kind="split",
+        cast=hosts,
+        hosts=hosts,
+        walkers=3,
+        means=means,
+        stays=STAYS_ON[0],
+        lease=lease,
+        weather=seconds,
+        seconds=seconds,
+    )
 
 
 def crowd(seed: int) -> Story:
@@ -416,6 +428,8 @@ KINDS: Mapping[str, Callable[[int], Story]] = {
 }
 #: What is flown where it is not the usual program.
 PROGRAMS = {"crew": crews.PROGRAM, "keeper": keepers.PROGRAM, "flown": flown.PROGRAM}
+#: In which every round may have to wait for what others have reserved.
+RESERVES = ("keeper", "flown")
 
 
 @lru_cache(maxsize=256)

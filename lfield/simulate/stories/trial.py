@@ -13,8 +13,8 @@ from lfield import exits
 from lfield.simulate.computers.timeline import Endless
 from lfield.simulate.fleet import Fleet
 from lfield.simulate.judging.breaches import Breach
-from lfield.simulate.judging.judge import Judge
-from lfield.simulate.stories.story import Story
+from lfield.simulate.judging.judge import ENOUGH, Judge
+from lfield.simulate.stories.story import RESERVES, Story
 from lfield.simulate.weather import Storm
 
 #: Seconds between two looks at devices and logs.
@@ -92,7 +92,8 @@ def _happen(fleet: Fleet, storm: Storm, judge: Judge, story: Story) -> None:
     if story.journals:
         fleet.recall()
     judge.healed()
-    end = fleet.now + PATIENCE + story.unreachable_after + story.interval
+    waits = ENOUGH * story.reserved_wait * (story.kind in RESERVES)
+    end = fleet.now + PATIENCE + story.unreachable_after + story.interval + waits
     while judge.waits_for() and fleet.now < end and not judge.breaches:
         # One that stood still may end in order, or give the others up, just when all is well again.
         fleet.heal_all()
