@@ -1,7 +1,7 @@
 """A person at a computer beside a simulated team, who gives the orders that the commands give.
 
-Orders are sent by the code of `lfield estop`, `pause`, `resume`, `recover` and `forget`, over links of their own.
-What is held (a stop, a pause) is taken back after a while, and at the end whatever the hosts still hold.
+Orders are sent by the code of `lfield estop`, `pause`, `resume`, `recover` and `forget`, over links of their
+own. What is held (a stop, a pause) is taken back after a while, and at the end whatever the hosts still hold.
 """
 
 from __future__ import annotations
@@ -60,8 +60,6 @@ class Operator:
         self._presses: Counter[Hold] = Counter()
         #: The kinds of which a host may still get the end of an earlier order.
         self._late: set[Hold] = set()
-        #: The lives of hosts, by their incarnations, that have confirmed that they hold nothing any more.
-        self._free: set[int] = set()
         #: What is to be done with coordinators whose host is gone for good.
         self._orphans: dict[str, Callable[[str, _Answers], Awaitable[bool]]] = {}
         self._looks = False
@@ -175,23 +173,13 @@ class Operator:
     # --- the end --------------------------------------------------------------------------------------
 
     def free_all(self) -> None:
-        """Take back all that may hold; to be repeated until every host that runs has confirmed it."""
+        """Take back all that may hold; to be repeated, since an order may still be on its way to a host."""
         for hold in list(self._held):
             del self._held[hold]
             self._judges.lifting(hold)
         self.look_after()
-        lives = {name: life.core.incarnation for name, life in self._fleet.lives.items()}
-        held = {name: life for name, life in lives.items() if life not in self._free}
-        if self._presses and held:
-            self._begin(partial(self._free_some, held))
-
-    async def _free_some(self, lives: Mapping[str, int]) -> None:
-        places = {place: at for place, at in self._places.items() if place.host in lives}
-        stopped = await ask_all(self._transport, places, _request("stop", lift=True))
-        paused = await ask_all(self._transport, places, _request("pause", lift=True))
-        for place in places:
-            if not isinstance(stopped[place], LfieldError) and not isinstance(paused[place], LfieldError):
-                self._free.add(lives[place.host])
+        for hold in self._presses:
+            self._begin(partial(self._lift, hold))
 
 
 def _request(hold: Hold, *, lift: bool) -> Request[EmergencyStopped]:

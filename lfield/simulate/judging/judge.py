@@ -23,7 +23,7 @@ from lfield.journal.pages import CopyPage, Fence, Page
 from lfield.mobility.generations import is_recovery
 from lfield.simulate.fleet import Fleet, Life
 from lfield.simulate.judging.blocks import Blocks
-from lfield.simulate.judging.breaches import Breach, Breaches
+from lfield.simulate.judging.breaches import Breaches
 from lfield.simulate.judging.calls import Calls
 from lfield.simulate.judging.devices import Devices
 from lfield.simulate.judging.orders import Orders
@@ -74,10 +74,9 @@ class Judge:
 
     def __init__(self) -> None:
         self.fleet: Fleet
-        self.breaches: list[Breach] = Breaches(lambda: self.fleet.now)
+        self.breaches = Breaches(lambda: self.fleet.now)
         self._breach = self.breaches.add
         self._calls = Calls(self.breaches, lambda agent: self._newest_at(agent, math.inf))
-        self._devices = Devices(self.breaches, self._calls.made_for, self._newest_at)
         self._blocks = Blocks(self.breaches, lambda: self.fleet.now, self._newest_at, self._on_disk)
         self._results = Results(self.breaches, self._home)
         self.reserved = Reserved(
@@ -88,7 +87,8 @@ class Judge:
             self._on_disk,
         )
         self.orders = Orders(self.breaches, lambda: self.fleet.now, lambda: self.fleet.keeps)
-        #: What is seen of reservations goes to whoever judges them.
+        self.computed = self.orders.computed
+        self._devices = Devices(self.breaches, self._made_for, self._newest_at, self.reserved.commanded)
         self.given, self.dropped = self.reserved.given, self.reserved.dropped
         self.asked, self.renewed = self.reserved.asked, self.reserved.renewed
         #: How much was seen: a judge who sees nothing finds nothing.
@@ -119,17 +119,6 @@ class Judge:
             self.orders.lost_disk(name)
         self.orders.born(name)
         tap(life, self)
-        self._meter(life)
-
-    def _meter(self, life: Life) -> None:
-        charge = life.core.machine.attached.meter
-        assert charge is not None
-
-        def computed(instructions: int) -> None:
-            self.orders.computed(life)
-            charge(instructions)
-
-        life.core.machine.attached.meter = computed
 
     @property
     def calls(self) -> int:
@@ -158,8 +147,7 @@ class Judge:
 
     def _again(self, life: Life, agent: Agent, newest: int) -> None:
         """A number that is not new: of who had called nothing yet, or it tells nothing any more."""
-        start = agent.id, agent.generation
-        before = self._starts.get(start)
+        before = self._starts.get(start := (agent.id, agent.generation))
         begun = any(of(*start) for of in (self._calls.any_of, self._blocks.any_of, self.reserved.any_of))
         moved = before and any(other.core.name != life.core.name for other in before.knew)
         if before and self.fleet.keeps and not moved and not begun:
@@ -171,10 +159,8 @@ class Judge:
 
     def _known(self, agent: Agent, home: str) -> bool:
         """Whether another host that lives has had this start, or one with a higher number."""
-        starts = (
-            s for start, s in self._starts.items() if start[0] == agent.id and start[1] >= agent.generation
-        )
-        knew = {life for seen in starts for life in seen.knew}
+        own = (s for (who, start), s in self._starts.items() if who == agent.id and start >= agent.generation)
+        knew = {life for seen in own for life in seen.knew}
         return any(not life.process.loop.dead and life.core.name != home for life in knew)
 
     def came(self, life: Life, header: Transfer) -> None:
@@ -286,10 +272,9 @@ class Judge:
         team = self.fleet.mission.team
         return team.hosts[team.members[member].host]
 
-    def _host_of(self, device: str) -> str:
-        agent = next(found.agent for found in self.fleet.mission.bindings.all if found.name == device)
-        team = self.fleet.mission.team
-        return next(team.hosts[member.host] for member in team.members if member.id == agent)
+    def _made_for(self, arguments: tuple[object, ...]) -> Start:
+        agent, generation = self._calls.made_for(arguments)
+        return (agent, generation) if agent else self.reserved.made_for(arguments)
 
     def _on_disk(self, name: str) -> list[Page] | None:
         return self.fleet.disks[name].pages() if self.fleet.keeps else None
@@ -300,7 +285,7 @@ class Judge:
         """Look at devices and logs; several times a second."""
         for name, hardware in self.fleet.hardware.items():
             self._devices.look(name, hardware, self.fleet.now)
-            self.orders.look(self._host_of(name), name, hardware)
+            self.orders.look(self.fleet.mission, name, hardware)
         for at, host, text in self.fleet.log[self._told :]:
             self._line(at, host, text)
         self._told = len(self.fleet.log)
@@ -349,9 +334,8 @@ class Judge:
         return not runs and any(self._is_gone(page.target, page.memory) for page in sent)
 
     def _is_gone(self, name: str, memory: int) -> bool:
-        if name in self.fleet.gone and not self.fleet.mission.fenced:
-            return True
-        return self.fleet.disks[name].identity != self._memories.get(memory, memory)
+        wrecked = name in self.fleet.gone and not self.fleet.mission.fenced
+        return wrecked or self.fleet.disks[name].identity != self._memories.get(memory, memory)
 
     def _line(self, at: float, host: str, text: str) -> None:
         if "bug in lfield" in text:
@@ -364,10 +348,6 @@ class Judge:
                 if running:
                     hosts = (host, *sorted(life.core.name for life in running))
                     self._breach("lost", hosts, f"{text.strip()}, while start {start[1]} lives")
-
-    def endless(self, sentence: str) -> None:
-        """More happens than may."""
-        self._breach("endless", (), sentence)
 
     # --- after the weather ------------------------------------------------------------------------------
 
@@ -409,12 +389,10 @@ class Judge:
     def end(self) -> None:
         """Time is up: whoever has not got on is stuck."""
         for agent in self.waits_for():
-            hosts = {
-                life.core.name for s, seen in self._starts.items() if s[0] == agent for life in seen.holders
-            }
-            told = [
-                text.strip() for _, _, text in self.fleet.log if agent in text and "." not in text.split()[0]
-            ]
+            holders = [seen.holders for start, seen in self._starts.items() if start[0] == agent]
+            hosts = {life.core.name for some in holders for life in some}
+            lines = (text.strip() for _, _, text in self.fleet.log if agent in text)
+            told = [text for text in lines if "." not in text.split()[0]]
             last = f"; last was said: {told[-1].splitlines()[0]}" if told else ""
             self._breach("stuck", tuple(sorted(hosts)), f"{agent} does not go on after the weather{last}")
         for name in sorted(self.fleet.failed):

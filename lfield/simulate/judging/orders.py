@@ -1,9 +1,9 @@
 """Whether hosts keep what they answer to a person: `lfield estop`, `pause`, `forget` (operations.md).
 
-A host that has confirmed a stop commands no device until somebody lifts that, whatever becomes of its process;
-one that is paused runs no agent either, until the mission is resumed. Every device that was confirmed stays at
-rest. A host without a journal forgets both with its process, and so does one that said that its disk did not
-take the stop. A coordinator that was given up does not go on where that was confirmed.
+A host that has confirmed a stop commands no device until somebody lifts that, whatever becomes of its
+process; one that is paused runs no agent either, until the mission is resumed. Every device that was
+confirmed stays at rest. A host without a journal forgets both with its process, and so does one that said
+that its disk did not take the stop. A coordinator that was given up does not go on where that was confirmed.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
+from lfield.mission.mission import Mission
 from lfield.simulate.fleet import Life
 from lfield.simulate.hardware import Hardware
 from lfield.simulate.judging.breaches import Breaches
@@ -31,9 +32,7 @@ class _Held:
 class Orders:
     """The orders that hold. `keeps` says whether hosts have journals, `now` is true time in seconds."""
 
-    def __init__(
-        self, breaches: Breaches, now: Callable[[], float], keeps: Callable[[], bool]
-    ) -> None:
+    def __init__(self, breaches: Breaches, now: Callable[[], float], keeps: Callable[[], bool]) -> None:
         self._breaches, self._now, self._keeps = breaches, now, keeps
         self._held: dict[tuple[Hold, str], _Held] = {}
         self._given_up: dict[tuple[str, str], int] = {}
@@ -86,7 +85,7 @@ class Orders:
         """The machine of a host has run an agent."""
         host = life.core.name
         if ("pause", host) in self._held:
-            self._breaches.add("pause", (host,), "an agent runs, and the host has confirmed that it is paused")
+            self._breaches.add("pause", (host,), "an agent runs, and its host has confirmed a pause")
 
     def runs(self, life: Life, agent: Agent) -> None:
         """A coordinator can run on a host."""
@@ -95,8 +94,9 @@ class Orders:
             found = f"start {agent.generation} of {agent.id} can run, and was given up by lfield forget"
             self._breaches.add("forget", (host,), found)
 
-    def look(self, host: str, name: str, hardware: Hardware) -> None:
-        """Look at a device of a host."""
+    def look(self, mission: Mission, name: str, hardware: Hardware) -> None:
+        """Look at a device of the mission, by its name."""
+        host = _host_of(mission, name)
         since = self._read.get(name, 0)
         self._read[name] = len(hardware.record)
         for hold in ("stop", "pause"):
@@ -109,3 +109,9 @@ class Orders:
                     self._breaches.add(hold, (host,), found)
             if hardware.moving and not hardware.record[-1].safe:
                 self._breaches.add(hold, (host,), f"{name} moves after a confirmed {hold}")
+
+
+def _host_of(mission: Mission, device: str) -> str:
+    """The host that a device is at."""
+    agent = next(found.agent for found in mission.bindings.all if found.name == device)
+    return next(mission.team.hosts[member.host] for member in mission.team.members if member.id == agent)

@@ -39,6 +39,9 @@ class Sees(Protocol):
     def sent(self, life: Life, header: Transfer, target: str, incarnation: int) -> None:
         """A coordinator was sent to another host, in that life of it; 0 if there was no link."""
 
+    def computed(self, life: Life) -> None:
+        """The machine has run an agent."""
+
     def turned(self, life: Life) -> None:
         """The host has done all there was to do."""
 
@@ -121,6 +124,18 @@ def tap(life: Life, sees: Sees) -> None:
     ):  # fmt: skip
         _tap(place, wire)
     _tap_reservations(life, sees)
+    _tap_meter(life, sees)
+
+
+def _tap_meter(life: Life, sees: Sees) -> None:
+    charge = life.core.machine.attached.meter
+
+    def meter(instructions: int) -> None:
+        sees.computed(life)
+        if charge is not None:
+            charge(instructions)
+
+    life.core.machine.attached.meter = meter
 
 
 def _tap_reservations(life: Life, sees: Sees) -> None:

@@ -1,7 +1,7 @@
 """Stories of keepers whose resources have devices: what is reserved moves, alone or two things at a time.
 
-As in `keepers.py` the mission says by itself what it does, and devices are told who commands them: a number that
-the coordinator has drawn, its round, and a step that is another one in each call of a round.
+As in `keepers.py` the mission says by itself what it does, and each command of a device says whose it is: a
+number that the coordinator has drawn, its round, and a step that is unique within the round.
 """
 
 from __future__ import annotations

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import replace
 
-from lfield.simulate.stories.story import KINDS, Story, drawn
+from lfield.simulate.stories.drawing import KINDS, drawn
+from lfield.simulate.stories.story import Story
 from lfield.simulate.stories.trial import Verdict, tell
 
 #: So many smaller stories are tried at most.

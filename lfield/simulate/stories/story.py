@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import random
 import tempfile
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
@@ -98,9 +98,8 @@ KEEP = 0.75
 #: So many of 32 times a walker calls where it has called before: one that may be recovered mostly, so that it
 #: works on where it is cut off.
 STAYS, STAYS_ON = 8, (26, 31, 31)
-#: Of what kinds stories of hosts with journals are. Of coordinators that a majority may recover they have
-#: nothing that leases do not hold under, and more time, in seconds.
-KEPT, DOUBTFUL = ("plain", "plain", "fenced", "doubted"), ("doubted", "parted")
+#: Stories of coordinators that a majority may recover have nothing that leases do not hold under, and more
+#: time, in seconds.
 NOT_FENCED, LONGER = ("disk_new", "race"), 6.0
 #: What lets a host doubt another one that goes on; how likely each is then.
 DOUBTS, LIKELY_DOUBT = ("cut", "mute", "island", "stop", "kill"), 0.6
@@ -108,16 +107,8 @@ DOUBTS, LIKELY_DOUBT = ("cut", "mute", "island", "stop", "kill"), 0.6
 OFTEN, DOUBTED = (2.0, 8.0), 8.0
 #: Seconds without a sign until a coordinator is recovered; how long a lease lasts.
 INTERVALS, LEASES = (1.0, 1.0, 1.0, 2.0, 4.0, 10.0), (1.0, 2.0, 2.0, 4.0)
-#: So many of the stories of hosts with journals are of crews, and so many of those of keepers instead.
-CREWS, KEEPERS = 0.25, 0.5
 #: Seconds that a reservation of theirs lasts unheard, and that others wait for what is reserved.
 RESERVATIONS, RESERVED_WAITS = (1.0, 2.0, 4.0), (0.0, 0.5, 3.0, 10.0)
-#: How likely stories of these kinds are, beside all others.
-RARER = {"split": 0.12, "crowd": 0.04, "flown": 0.1, "wrecked": 0.06}
-#: So many stories are under orders of a person, and so many of those with devices; so many on slow computers.
-ORDERED, ORDERED_WITH_DEVICES, SLOW = 0.15, 0.35, 0.2
-#: How much slower, for all that runs beside.
-SLOWNESS = (10.0, 50.0, 200.0)
 #: So many hosts decide in a team of more than nine.
 DECIDERS = 5
 #: Seconds that a disk takes: one of a laptop, and one of a small board on a memory card.
@@ -188,36 +179,6 @@ class Story:
 
     def _names(self, hosts: int) -> set[str]:
         return {f"h{n}" for n in range(hosts)}
-
-
-def drawn(seed: int) -> Story:
-    """The story of a seed: some are of larger teams, of wrecks, under orders of a person, on slow computers."""
-    dice = random.Random(f"beside {seed}")
-    kind = dice.choices([*RARER, ""], [*RARER.values(), 1.0 - sum(RARER.values())])[0]
-    story = KINDS[kind](seed) if kind else _usual(seed)
-    if story.arms and dice.random() < ORDERED_WITH_DEVICES or dice.random() < ORDERED:
-        orders = dice.choice((("estop",), ("pause",), ("estop", "pause")))
-        means = {order: dice.uniform(*OFTEN) for order in orders}
-        story = replace(story, means={**story.means, **means}, arms=max(story.arms, _arms(story)))
-    if dice.random() < SLOW:
-        story = replace(story, slowness=dice.choice(SLOWNESS))
-    return story
-
-
-def _arms(story: Story) -> int:
-    """How many arms a story under orders has at least: there must be devices that move."""
-    return 0 if story.kind in PROGRAMS else 1
-
-
-def _usual(seed: int) -> Story:
-    story = plain(seed)
-    if not story.journals:
-        return forgetful(seed)
-    if random.Random(f"together {seed}").random() < CREWS:
-        return (keeper if random.Random(f"reserve {seed}").random() < KEEPERS else crew)(seed)
-    dice = random.Random(f"kind {seed}")
-    kind = dice.choice(KEPT)
-    return KINDS[dice.choice(DOUBTFUL) if kind == "doubted" else kind](seed)
 
 
 def plain(seed: int) -> Story:
@@ -342,90 +303,6 @@ def keeper(seed: int) -> Story:
     )
 
 
-def split(seed: int) -> Story:
-    """One of a larger team that falls into two groups; the majority goes on with what the others had."""
-    story, dice = doubted(seed), random.Random(f"split {seed}")
-    hosts = dice.choice((4, 5, 5, 5, 6, 7))
-    means = {"split": dice.uniform(*OFTEN)}
-    means |= {kind: dice.uniform(*OFTEN) for kind in ("cut", "stop", "kill") if dice.random() < 0.5 * LIKELY}
-    lease = dice.choice((1.0, 2.0))
-    seconds = DOUBTED + 2.0 * lease
-    return replace(
-        story,
-        kind="split",
-        cast=hosts,
-        hosts=hosts,
-        walkers=3,
-        means=means,
-        stays=STAYS_ON[0],
-        lease=lease,
-        weather=seconds,
-        seconds=seconds,
-    )
-
-
-def crowd(seed: int) -> Story:
-    """One of a team of more than nine hosts: each keeps links with eight neighbours."""
-    dice = random.Random(f"crowd {seed}")
-    story = dice.choice((plain, plain, fenced))(seed)
-    hosts, seconds = dice.choice((10, 11, 13)), dice.uniform(4.0, 7.0) + (LONGER if story.interval else 0.0)
-    return replace(
-        story,
-        kind="crowd",
-        cast=hosts,
-        hosts=hosts,
-        walkers=dice.choice((1, 2)),
-        arms=min(story.arms, 1),
-        calls=FOR_EVER,
-        stay=0.04,
-        lost_after=None,
-        journals=True,
-        weather=seconds,
-        seconds=seconds,
-        witnesses=0,
-    )
-
-
-def flight(seed: int) -> Story:
-    """One of keepers whose resources have devices, on slow computers at times."""
-    story, dice = keeper(seed), random.Random(f"flown {seed}")
-    means = {kind: dice.uniform(*BETWEEN) for kind in ("guard_kill", "guard_stop") if dice.random() < LIKELY}
-    return replace(story, kind="flown", means={**story.means, **means})
-
-
-def wrecked(seed: int) -> Story:
-    """One in which a host is gone for good, and a person goes on with what it had, or gives that up."""
-    story, dice = plain(seed), random.Random(f"wrecked {seed}")
-    kinds = [kind for kind in DOUBTS if dice.random() < LIKELY]
-    seconds = story.weather + LONGER
-    return replace(
-        story,
-        kind="wrecked",
-        means={"wreck": seconds / 3.0} | {kind: dice.uniform(*OFTEN) for kind in kinds},
-        arms=min(story.arms, 1),
-        calls=FOR_EVER,
-        stay=0.04,
-        lost_after=None,
-        journals=True,
-        weather=seconds,
-        seconds=seconds,
-    )
-
-
-#: Stories by what becomes of their coordinators.
-KINDS: Mapping[str, Callable[[int], Story]] = {
-    "plain": plain,
-    "forgetful": forgetful,
-    "fenced": fenced,
-    "doubted": doubted,
-    "parted": parted,
-    "crew": crew,
-    "keeper": keeper,
-    "split": split,
-    "crowd": crowd,
-    "flown": flight,
-    "wrecked": wrecked,
-}
 #: What is flown where it is not the usual program.
 PROGRAMS = {"crew": crews.PROGRAM, "keeper": keepers.PROGRAM, "flown": flown.PROGRAM}
 #: In which every round may have to wait for what others have reserved.
@@ -461,7 +338,8 @@ def _mission(
         mission = load_mission(deployment, simulate=True)
     # What hosts prepare of a program is as large as they are: one program is enough.
     times = ReservationTimes(reservation, reserved_wait)
-    bindings = replace(mission.bindings, recovery=replace(mission.bindings.recovery, lease=lease), reservations=times)
+    recovery = replace(mission.bindings.recovery, lease=lease)
+    bindings = replace(mission.bindings, recovery=recovery, reservations=times)
     return replace(
         mission, bindings=bindings, program=_PROGRAMS.setdefault(mission.program.digest, mission.program)
     )

@@ -30,8 +30,8 @@ PATIENCE = 25.0
 class Verdict:
     """What came of a story. `seconds` of virtual time; `faults` as they struck.
 
-    `calls` that began, `restarts` that a walker was told of, starts that a majority or a person has `recovered`,
-    `orders` of a person that hosts have carried out, by kind.
+    `calls` that began, `restarts` that a walker was told of, starts that a majority or a person has
+    `recovered`, `orders` of a person that hosts have carried out, by kind.
     """
 
     story: Story
@@ -112,4 +112,4 @@ def _until(fleet: Fleet, judge: Judge, when: float) -> None:
             fleet.run(min(LOOK, when - fleet.now))
             judge.look()
     except Endless as error:
-        judge.endless(str(error))
+        judge.breaches.add("endless", (), str(error))
