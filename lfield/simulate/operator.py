@@ -42,8 +42,8 @@ class Judges(Protocol):
     def gave_up(self, agent: str, starts: Mapping[str, int]) -> None:
         """These hosts have given up a coordinator, up to these starts."""
 
-    def goes_on(self) -> None:
-        """A host is gone, and the person goes on with whatever coordinator others have a copy of."""
+    def acts(self) -> None:
+        """A host is gone, and the person recovers its coordinators from copies, or gives them up."""
 
 
 class Operator:
@@ -115,8 +115,7 @@ class Operator:
     def lose(self, *, recovers: bool) -> None:
         """A host is gone for good: go on with each coordinator that went there, or else give it up."""
         go = self._recover if recovers else self._forget
-        if recovers:
-            self._judges.goes_on()
+        self._judges.acts()
         self._orphans = {member.id: go for member in self._fleet.mission.team.coordinators}
         self.look_after()
 

@@ -367,7 +367,7 @@ class Unjudged:
     def gave_up(self, agent: str, starts: Mapping[str, int]) -> None:
         """See `Judges`."""
 
-    def goes_on(self) -> None:
+    def acts(self) -> None:
         """See `Judges`."""
 
 

@@ -351,6 +351,10 @@ class Judge:
 
     # --- after the weather ------------------------------------------------------------------------------
 
+    def settled(self) -> None:
+        """All has been well for so long that every host must be reached."""
+        self._calls.settled = not self.fleet.gone
+
     def healed(self) -> None:
         """The weather is over: from now on everybody must get on."""
         self._calls.ended.clear()
@@ -368,16 +372,15 @@ class Judge:
 
     def _owed(self, agent: str) -> bool:
         ended = self._calls.ended[agent] + self._blocks.closed[agent] + self.reserved.closed[agent]
-        if agent in self._calls.over or ended >= ENOUGH:
+        given_up = self.orders.is_given_up(agent, self._newest.get(agent, 0))
+        if agent in self._calls.over or ended >= ENOUGH or given_up:
             return False
         if agent in self.fleet.mission.fenced:
             return shadowed(agent, self.fleet.pages_left)
         if generation := self._latest(agent):
             start = agent, generation
-            if self.orders.is_given_up(*start):
-                return False
             if self.fleet.gone and self._doubtful(start):
-                return self.orders.recovers and shadowed(agent, self.fleet.pages_left)
+                return self.orders.acted and shadowed(agent, self.fleet.pages_left)
             if self.fleet.keeps:
                 return not self._doubtful(start)
             return not any(life.process.loop.dead for life in self._starts[start].holders)
@@ -392,8 +395,10 @@ class Judge:
             holders = [seen.holders for start, seen in self._starts.items() if start[0] == agent]
             hosts = {life.core.name for some in holders for life in some}
             lines = (text.strip() for _, _, text in self.fleet.log if agent in text)
-            told = [text for text in lines if "." not in text.split()[0]]
-            last = f"; last was said: {told[-1].splitlines()[0]}" if told else ""
+            told = [
+                f"; last was said: {text.splitlines()[0]}" for text in lines if "." not in text.split()[0]
+            ]
+            last = told[-1] if told else ""
             self._breach("stuck", tuple(sorted(hosts)), f"{agent} does not go on after the weather{last}")
         for name in sorted(self.fleet.failed):
             self._breach("host", (name,), "it has failed")

@@ -36,8 +36,8 @@ class Orders:
         self._breaches, self._now, self._keeps = breaches, now, keeps
         self._held: dict[tuple[Hold, str], _Held] = {}
         self._given_up: dict[tuple[str, str], int] = {}
-        #: Whether a person goes on with what a host had that is gone.
-        self.recovers = False
+        #: Whether a person recovers what a host had that is gone, or gives it up.
+        self.acted = False
         #: How far each device's record was read.
         self._read: dict[str, int] = {}
 
@@ -58,9 +58,9 @@ class Orders:
         for host, start in starts.items():
             self._given_up[host, agent] = max(start, self._given_up.get((host, agent), 0))
 
-    def goes_on(self) -> None:
-        """A host is gone, and the person goes on with whatever coordinator others have a copy of."""
-        self.recovers = True
+    def acts(self) -> None:
+        """A host is gone, and the person recovers its coordinators from copies, or gives them up."""
+        self.acted = True
 
     def is_given_up(self, agent: str, start: int) -> bool:
         """Whether a person has said that this start of a coordinator is lost."""

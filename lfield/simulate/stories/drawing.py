@@ -43,18 +43,19 @@ def drawn(seed: int) -> Story:
     dice = random.Random(f"beside {seed}")
     kind = dice.choices([*RARER, ""], [*RARER.values(), 1.0 - sum(RARER.values())])[0]
     story = KINDS[kind](seed) if kind else _usual(seed)
-    if (story.arms and dice.random() < ORDERED_WITH_DEVICES) or dice.random() < ORDERED:
-        orders = dice.choice((("estop",), ("pause",), ("estop", "pause")))
-        means = {order: dice.uniform(*OFTEN) for order in orders}
-        story = replace(story, means={**story.means, **means}, arms=max(story.arms, _arms(story)))
+    if dice.random() < (ORDERED_WITH_DEVICES if story.arms else ORDERED):
+        story = under_orders(story, dice)
     if dice.random() < SLOW:
         story = replace(story, slowness=dice.choice(SLOWNESS))
     return story
 
 
-def _arms(story: Story) -> int:
-    """How many arms a story under orders has at least: there must be devices that move."""
-    return 0 if story.kind in PROGRAMS else 1
+def under_orders(story: Story, dice: random.Random) -> Story:
+    """The same under orders of a person, with a device at least where the program has any."""
+    orders = dice.choice((("estop",), ("pause",), ("estop", "pause")))
+    means = {order: dice.uniform(*OFTEN) for order in orders}
+    arms = story.arms if story.kind in PROGRAMS else max(1, story.arms)
+    return replace(story, means={**story.means, **means}, arms=arms)
 
 
 def _usual(seed: int) -> Story:
@@ -101,6 +102,7 @@ def crowd(seed: int) -> Story:
         cast=hosts,
         hosts=hosts,
         walkers=dice.choice((1, 2)),
+        stays=0,
         arms=min(story.arms, 1),
         calls=FOR_EVER,
         stay=0.04,

@@ -10,6 +10,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from lfield import exits
+from lfield.mission.bindings import MOST_MEMBERS
 from lfield.simulate.computers.timeline import Endless
 from lfield.simulate.fleet import Fleet
 from lfield.simulate.judging.breaches import Breach
@@ -24,6 +25,9 @@ MOST_EVENTS = 200_000
 #: Seconds after the weather in which whoever may go on must have done so, beside those that a call waits: a
 #: greeting that nobody answered is given up after 10 s.
 PATIENCE = 25.0
+#: Seconds until hosts without a link must reach each other when they want to, and for how long coordinators
+#: go from one to the other then.
+SETTLES, ROAMS = 12.0, 4.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,6 +106,10 @@ def _happen(fleet: Fleet, storm: Storm, judge: Judge, story: Story) -> None:
         if story.journals:
             fleet.recall(exits.UNHEARD)
         _until(fleet, judge, fleet.now + 1.0)
+    if story.hosts > MOST_MEMBERS and not judge.breaches:
+        _until(fleet, judge, fleet.now + SETTLES + story.unreachable_after)
+        judge.settled()
+        _until(fleet, judge, fleet.now + ROAMS)
     if not judge.breaches:
         judge.end()
 
