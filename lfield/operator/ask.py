@@ -30,6 +30,8 @@ from lfield.wire.observing import (
     Pause,
     Recover,
     Recovered,
+    StartRequest,
+    StartResponse,
     Status,
     StatusRequest,
 )
@@ -37,7 +39,7 @@ from lfield.wire.observing import (
 if TYPE_CHECKING:
     from lfield.authority.keys import Keys
 
-T = TypeVar("T", bound=Status | EmergencyStopped | Forgotten | Recovered)
+T = TypeVar("T", bound=Status | EmergencyStopped | Forgotten | Recovered | StartResponse)
 K = TypeVar("K", bound=Hashable)
 
 #: For each host by its name what it answered, or the error that stood in the way.
@@ -62,7 +64,7 @@ class Request(Generic[T]):
     flood of callers turns away by lot. Whatever comes twice must be the same as once.
     """
 
-    message: StatusRequest | EmergencyStop | Forget | Pause | Recover
+    message: StatusRequest | EmergencyStop | Forget | Pause | Recover | StartRequest
     answer: type[T]
     bound: float
     again: bool = False
@@ -101,6 +103,11 @@ def pause(*, lift: bool = False) -> Request[EmergencyStopped]:
 def recover(word: Recover) -> Request[Recovered]:
     """A person's word that the holder of a coordinator is gone for good."""
     return Request(word, Recovered, 8.0)
+
+
+def start(without: Sequence[str]) -> Request[StartResponse]:
+    """Start the coordinators that wait, without some hosts. It takes as long as the disks need."""
+    return Request(StartRequest(list(without)), StartResponse, 8.0, again=True)
 
 
 def ask_parties(
