@@ -254,7 +254,12 @@ class Quorum:
 
     def _on_termination(self, host: str, agent: str, ended: Ended | None, now: float) -> list[Effect]:
         """A host knows that a coordinator has terminated."""
-        if ended is None or ended.agent != agent or agent not in self._agents or ended.outcome not in TERMINAL:
+        if (
+            ended is None
+            or ended.agent != agent
+            or agent not in self._agents
+            or ended.outcome not in TERMINAL
+        ):
             return []
         effects = self.terminations.conceded(host, ended)
         if self.terminations.covers(agent, ended.generation):

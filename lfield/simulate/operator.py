@@ -16,7 +16,7 @@ from lfield.errors import CoordinatorAlive, LfieldError, NobodyListens, UsageErr
 from lfield.loop import spawn
 from lfield.net.tcp import TcpTransport
 from lfield.operator.addressed import Place
-from lfield.operator.ask import STATUS, Request, ask, ask_all, emergency_stop, forget, pause, recover
+from lfield.operator.ask import STATUS, Request, ask, ask_all, emergency_stop, forget, pause, recover, start
 from lfield.operator.recover import believed
 from lfield.operator.whereabouts import insist_on_doubt, records
 from lfield.simulate.fleet import Fleet
@@ -109,6 +109,12 @@ class Operator:
         answers = await ask_all(self._transport, self._places, _request(hold, lift=True))
         if all(isinstance(answer, EmergencyStopped | NobodyListens) for answer in answers.values()):
             self._late.discard(hold)
+        if hold == "stop":
+            await self._start()
+
+    async def _start(self) -> None:
+        """As `lfield start --without` the hosts that are gone: what was not started during a stop."""
+        await ask_all(self._transport, self._places, start(sorted(self._fleet.gone)))
 
     # --- coordinators of hosts that are gone ----------------------------------------------------------
 

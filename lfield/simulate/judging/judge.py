@@ -32,12 +32,10 @@ from lfield.simulate.judging.results import Results
 from lfield.simulate.judging.saved import nowhere, shadowed
 from lfield.simulate.judging.witness import tap
 from lfield.vm.agent import Agent
-from lfield.vm.begun import Key
 from lfield.wire.coordinators import Transfer
 
 #: A coordinator and one start of it.
 Start = tuple[str, int]
-
 #: A start that is younger than so many seconds may not be known yet to whoever says lost.
 YOUNG = 3.0
 #: So many calls must come to an end after the weather.
@@ -87,7 +85,7 @@ class Judge:
             self._on_disk,
         )
         self.orders = Orders(self.breaches, lambda: self.fleet.now, lambda: self.fleet.keeps)
-        self.computed = self.orders.computed
+        self.computed, self.told = self.orders.computed, self._blocks.told
         self._devices = Devices(self.breaches, self._made_for, self._newest_at, self.reserved.commanded)
         self.given, self.dropped = self.reserved.given, self.reserved.dropped
         self.asked, self.renewed = self.reserved.asked, self.reserved.renewed
@@ -263,10 +261,6 @@ class Judge:
             if self.reserved.said(life, agent, line.split()):
                 continue
             self._calls.said(life, agent, line)
-
-    def told(self, life: Life, key: Key) -> None:
-        """What a call gave that was begun here may be fetched from now on."""
-        self._blocks.told(life, key)
 
     def _home(self, member: int) -> str:
         team = self.fleet.mission.team
