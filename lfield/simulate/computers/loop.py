@@ -284,7 +284,7 @@ def release(machine: Machine) -> None:
         while machine.pinned:
             task = machine.pinned.pop()
             # asyncio would report a task that is freed before it has ended.
-            task._log_destroy_pending = False  # type: ignore[attr-defined]
+            task.get_loop().set_exception_handler(lambda loop, context: None)
             _unwind(task.get_coro())
             abandon(task)
             _unpin(task)

@@ -30,7 +30,7 @@ from lfield.simulate.judging.orders import Orders
 from lfield.simulate.judging.reserved import Reserved
 from lfield.simulate.judging.results import Results
 from lfield.simulate.judging.saved import nowhere, shadowed
-from lfield.simulate.judging.witness import tap
+from lfield.simulate.judging.witness import tap, tap_meter
 from lfield.vm.agent import Agent
 from lfield.wire.coordinators import Transfer
 
@@ -85,7 +85,7 @@ class Judge:
             self._on_disk,
         )
         self.orders = Orders(self.breaches, lambda: self.fleet.now, lambda: self.fleet.keeps)
-        self.computed, self.told = self.orders.computed, self._blocks.told
+        self.told = self._blocks.told
         self._devices = Devices(self.breaches, self._made_for, self._newest_at, self.reserved.commanded)
         self.given, self.dropped = self.reserved.given, self.reserved.dropped
         self.asked, self.renewed = self.reserved.asked, self.reserved.renewed
@@ -117,6 +117,7 @@ class Judge:
             self.orders.lost_disk(name)
         self.orders.born(name)
         tap(life, self)
+        tap_meter(life, self.orders.computed)
 
     @property
     def calls(self) -> int:

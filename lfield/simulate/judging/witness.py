@@ -39,9 +39,6 @@ class Sees(Protocol):
     def sent(self, life: Life, header: Transfer, target: str, incarnation: int) -> None:
         """A coordinator was sent to another host, in that life of it; 0 if there was no link."""
 
-    def computed(self, life: Life) -> None:
-        """The machine has run an agent."""
-
     def turned(self, life: Life) -> None:
         """The host has done all there was to do."""
 
@@ -124,14 +121,14 @@ def tap(life: Life, sees: Sees) -> None:
     ):  # fmt: skip
         _tap(place, wire)
     _tap_reservations(life, sees)
-    _tap_meter(life, sees)
 
 
-def _tap_meter(life: Life, sees: Sees) -> None:
+def tap_meter(life: Life, computed: Callable[[Life], None]) -> None:
+    """Let somebody see when the machine of a life has run an agent."""
     charge = life.core.machine.attached.meter
 
     def meter(instructions: int) -> None:
-        sees.computed(life)
+        computed(life)
         if charge is not None:
             charge(instructions)
 
