@@ -380,8 +380,8 @@ class Judge:
                 return not self._doubtful(start)
             return not any(life.process.loop.dead for life in self._starts[start].holders)
         name = self._homes[agent]
-        # A home that has forgotten waits for all others, and one that has gone is not started again.
-        waits = not self._remembers(name) and bool(self.fleet.left)
+        # A new start waits for all others, and a host that is gone is not started again.
+        waits = bool(self.fleet.gone) or (not self._remembers(name) and bool(self.fleet.left))
         return name in self.fleet.lives and not waits
 
     def end(self) -> None:
