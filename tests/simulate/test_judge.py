@@ -22,8 +22,9 @@ from lfield.simulate.fleet import Fleet
 from lfield.simulate.judging.judge import Judge
 from lfield.simulate.judging.saved import nowhere
 from lfield.simulate.seeds import run, told
+from lfield.simulate.stories.drawing import drawn
 from lfield.simulate.stories.shrink import command, smallest
-from lfield.simulate.stories.story import FOR_EVER, crew, drawn, fenced, keeper
+from lfield.simulate.stories.story import FOR_EVER, crew, fenced, keeper
 from lfield.simulate.stories.trial import tell
 from lfield.simulate.weather import Weather
 from lfield.vm.memory.layout import W_GENERATION

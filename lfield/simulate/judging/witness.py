@@ -123,6 +123,18 @@ def tap(life: Life, sees: Sees) -> None:
     _tap_reservations(life, sees)
 
 
+def tap_meter(life: Life, computed: Callable[[Life], None]) -> None:
+    """Let somebody see when the machine of a life has run an agent."""
+    charge = life.core.machine.attached.meter
+
+    def meter(instructions: int) -> None:
+        computed(life)
+        if charge is not None:
+            charge(instructions)
+
+    life.core.machine.attached.meter = meter
+
+
 def _tap_reservations(life: Life, sees: Sees) -> None:
     core = life.core
 

@@ -263,7 +263,7 @@ BUGS = [
         a_call_overtakes_its_page,
         "a call begins, and what is kept of its caller stands before an earlier one",
         frozenset({"I4", "I5"}),
-        216,
+        566,
     ),
     Bug(
         a_kept_copy_runs_although_it_had_left,
