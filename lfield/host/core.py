@@ -17,6 +17,7 @@ from lfield.host.effects import CHANGED, Call, Complain, Effect, Nearby, Reach, 
 from lfield.host.inits import Inits
 from lfield.host.offers import Offers
 from lfield.host.sight.hops import Hops
+from lfield.host.sight.programs import Programs
 from lfield.host.sight.teller import Teller
 from lfield.host.team import words
 from lfield.host.team.absent import Absent
@@ -89,16 +90,15 @@ class HostCore:
         self.machine = machine = Machine(
             mission.program, everybody, self.here, incarnation, self.world, clock, dice, fenced, engines
         )
-        machine.attached.rules = mission.calls
+        self.programs, machine.attached.rules = Programs(machine, clock.monotonic), mission.calls
         own = self._hello([])
         self._hops = hops = Hops(teller, machine, name, self.team)
         self.coordinators = team = Coordinators(
             mission, own, machine, clock, self._out, unreachable_after, pages, times or {}, hops
         )
-        self.mobility = team.mobility
         self.directory = TeamDirectory(mission, name, incarnation, machine, nearby, clock)
         self._leases = leases = Leases(mission, own, team, machine, clock, self._out, pages, dice)
-        team.barred = leases.quorum.fences.bars
+        team.barred, self.mobility = leases.quorum.fences.bars, team.mobility
         self._begun = BegunPages(own.mission, team, leases, machine, clock, pages, keeps=bool(memory))
         self.hearsay = Hearsay(self.team.hosts, self.here, incarnation, clock.monotonic(), neighbours)
         self.reserving = Reserving(
@@ -186,7 +186,7 @@ class HostCore:
         self._begun.look()
         if self._reserves:
             self.reserving.look()
-        pause = None if self.coordinators.halted or self.coordinators.paused else self.machine.run()
+        pause = None if self.coordinators.halted or self.coordinators.paused else self.programs.run()
         self.coordinators.answer()
         self._inits.look(now)
         # A portal that has ended may be what somebody waits for who wants to reserve its resource.

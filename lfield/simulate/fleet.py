@@ -218,7 +218,7 @@ class Fleet:
         )
         if not self.keeps:
             self._known.add(name)
-        transport = TcpTransport(self.mission.max_block, resident=resident)
+        transport = TcpTransport(self.mission.max_block, resident=resident, busy=float)
         host = Host(self.mission, name, transport, Logbook(book, book), options)
         life = self.lives[name] = Life(process, host, StopWords(host.clock))
         host.machine.attached.meter = lambda n: process.loop.compute(
