@@ -113,15 +113,14 @@ class HostCore:
         absent = Absent(nearby, self.hearsay, clock, unreachable_after)
         machine.attached.is_silent = lambda member: absent.is_silent(self.team.hosts[member.host])
         self.world.join(team, leases, self._begun, self.reserving, self.commands, offers, absent)
-        #: What may have something to do at a time.
-        self._timed: list[Timed] = [team, self.directory, self.hearsay, self._policies, self._inits]
-        self._timed += [leases] if leases.fenced else []
-        self._timed += [self.reserving] if self._reserves else []
         #: When the coordinators of this host begin, and what a new start of them waits for.
-        self.startup = Beginning(
+        self.startup = startup = Beginning(
             mission, name, team, leases, clock, self._out, nearby, self.hearsay, teller, kept=bool(memory)
         )
-        self._timed.append(self.startup)
+        #: What may have something to do at a time.
+        self._timed: list[Timed] = [team, self.directory, self.hearsay, self._policies, self._inits, startup]
+        self._timed += [leases] if leases.fenced else []
+        self._timed += [self.reserving] if self._reserves else []
 
     # --- out ------------------------------------------------------------------------------------------
 
@@ -326,8 +325,7 @@ class HostCore:
 
     def recover(self, word: Recover) -> Recovered:
         """A person says that whoever held a coordinator is gone for good: this host goes on with it."""
-        fence = self._leases.quorum.fences.of(word.agent)
-        return words.recover(self.coordinators, self.name, self.here, word, fence)
+        return words.recover(self.coordinators, self._leases, self.name, self.here, word)
 
     def pass_on(self, found: Iterable[Fate]) -> None:
         """This host is about to go: whoever can be reached is told of all endings, and of what it found."""

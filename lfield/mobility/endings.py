@@ -132,10 +132,11 @@ class Endings:
         return self.fence(ended.agent, ended.generation, ended.host) + self._learn(ended, self.is_delayed)
 
     def terminated(self, ended: Ended) -> list[Effect]:
-        """`learn`, for an ending that need not wait any more; the host where it ended hears that it is known."""
+        """`learn`, for an ending that need not wait any more; it is confirmed to the host where it ended."""
         effects = self._learn(ended, lambda ended: False)
-        confirmed = EndedAck(ended.agent, ended.generation)
-        return [*effects, Send(ended.host, confirmed)] if effects and ended.host in self._links else effects
+        if ended.host in self._links:
+            effects.append(Send(ended.host, EndedAck(ended.agent, ended.generation)))
+        return effects
 
     def _learn(self, ended: Ended, is_delayed: Callable[[Ended], bool]) -> list[Effect]:
         parked = self._copies.parked.get((ended.agent, ended.generation))

@@ -12,16 +12,13 @@ from typing import TYPE_CHECKING
 from lfield.mobility.copies import Copies, Copy
 from lfield.mobility.departures import PERHAPS, RESTARTED
 from lfield.mobility.effects import Began, Effect, Resume, Supersede
+from lfield.wire.coordinators import TERMINAL
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection
 
     from lfield.mobility.endings import Endings
     from lfield.wire.framing import Buffer
-
-
-#: The outcomes that terminate a coordinator; 'superseded' is about one start of it only.
-TERMINAL = ("done", "died", "lost")
 
 
 class Recoveries:

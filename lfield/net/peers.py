@@ -154,10 +154,8 @@ class Peers:
         """Send a coordinator to a host. Where the link is just closing, `unlinked` is about to follow."""
         session = self._links.get(host)
         if session:
-            try:
+            with suppress(AddressError):
                 session.link.send_transfer(header, block)
-            except AddressError:
-                return
 
     # --- both directions ------------------------------------------------------------------------------
 

@@ -30,7 +30,6 @@ from lfield.wire.observing import (
     Pause,
     Recover,
     Recovered,
-    StartRequest,
     StartResponse,
     Status,
     StatusRequest,
@@ -59,11 +58,10 @@ _MAX_BLOCK = 1 << 20
 class Request(Generic[T]):
     """What can be asked: the message, what answers it, and the seconds that a host has for that.
 
-    What is to be asked `again` is until then, where a link ends before it has brought an answer: a host in a
-    flood of callers turns away by lot. Whatever comes twice must be the same as once.
+    What may come twice is asked `again` until then, where a link (in a flood, say) ends without an answer.
     """
 
-    message: StatusRequest | EmergencyStop | Forget | Pause | Recover | StartRequest
+    message: Message
     answer: type[T]
     bound: float
     again: bool = False
@@ -102,11 +100,6 @@ def pause(*, lift: bool = False) -> Request[EmergencyStopped]:
 def recover(word: Recover) -> Request[Recovered]:
     """A person's word that the holder of a coordinator is gone for good."""
     return Request(word, Recovered, 8.0)
-
-
-def start(without: Sequence[str]) -> Request[StartResponse]:
-    """Start the coordinators that wait, without some hosts. It takes as long as the disks need."""
-    return Request(StartRequest(list(without)), StartResponse, 8.0, again=True)
 
 
 def ask_parties(

@@ -15,8 +15,8 @@ from lfield.quorum.effects import Bar, Copies, Effect, Tell, Terminate
 from lfield.quorum.lease import Lease
 from lfield.quorum.members import Fences, Members
 from lfield.quorum.recovery import Recoveries
-from lfield.quorum.terminations import TERMINAL, Terminations
-from lfield.wire.coordinators import Ended
+from lfield.quorum.terminations import Terminations
+from lfield.wire.coordinators import TERMINAL, Ended
 from lfield.wire.fields import age
 from lfield.wire.quorum import (
     MOST,
@@ -190,18 +190,15 @@ class Quorum:
                 return self._on_promise(host, message, now)
 
     def _on_heartbeat(self, host: str, message: Heartbeat, now: float) -> list[Effect]:
-        effects: list[Effect] = []
         for held in message.held:
             self._heard(host, held.agent, held.generation, now)
-            effects += self.terminations.settled(held.agent, held.generation)
         known = message.fences == self.terminations.digest
         fences, ended = ([], []) if known else (self.fences.all, self.terminations.all)
         # Number 0 is of no heartbeat: it tells the fences, and gives no lease.
         number = message.number if self.remembers else 0
         # A part of them would be no better than none: no lease is given then.
-        if len(fences) <= MOST and len(ended) <= MOST:
-            effects.append(Tell(host, Ack(message.life, number, fences, ended)))
-        return effects
+        whole = len(fences) <= MOST and len(ended) <= MOST
+        return [Tell(host, Ack(message.life, number, fences, ended))] if whole else []
 
     def _heard(self, host: str, agent: str, generation: int, now: float) -> None:
         """A host holds an agent, or is about to."""
@@ -254,12 +251,9 @@ class Quorum:
 
     def _on_termination(self, host: str, agent: str, ended: Ended | None, now: float) -> list[Effect]:
         """A host knows that a coordinator has terminated."""
-        if (
-            ended is None
-            or ended.agent != agent
-            or agent not in self._agents
-            or ended.outcome not in TERMINAL
-        ):
+        if ended is None or ended.agent != agent or agent not in self._agents:
+            return []
+        if ended.outcome not in TERMINAL:
             return []
         effects = self.terminations.conceded(host, ended)
         if self.terminations.covers(agent, ended.generation):
@@ -273,7 +267,7 @@ class Quorum:
         return effects
 
     def is_delayed(self, ended: Ended, now: float) -> bool:
-        """Whether a termination that another host tells of must not come to the disk yet, nor be confirmed."""
+        """Whether a termination elsewhere must not come to the disk yet, nor be confirmed."""
         if not self._is_member or not self.terminations.is_delayed(ended, now):
             return False
         self._next = None if self._next is None else min(self._next, now)

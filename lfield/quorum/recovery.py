@@ -201,7 +201,7 @@ class Recoveries:
         return self._look(answer.agent, now)
 
     def terminated(self, ended: Ended, now: float) -> list[Effect]:
-        """A host knows that the coordinator has terminated: there is nothing to go on with from before that."""
+        """A host knows that the coordinator has terminated: no block from before that goes on."""
         attempt = self._attempts.get(ended.agent)
         if attempt is None or ended.generation < attempt.place.generation:
             return []

@@ -1,10 +1,10 @@
 """What one host knows of coordinators that have terminated, and what it may not yet write down. Pure.
 
-A termination is final once a majority of the members has it on disk: every majority of promises then contains
-a member that knows it, and refuses. A member that has promised a recovery before it hears of the termination
-has that majority the other way round: were it to write the termination down now, that could become final while
-the recovery goes on. So it tells the proposer, and waits until the recovery cannot begin any more (`VALID`).
-All quorum answers have what waits here, too.
+A termination is final once a majority of the members has it on disk: every majority of promises then
+contains a member that knows it, and refuses. A member that has promised a recovery before it hears of the
+termination is in none of those majorities: were it to write the termination down at once, that could become
+final while the recovery begins. So it tells the proposer, and waits until the recovery has begun or cannot
+begin any more (`VALID`). All its answers carry what waits here, too.
 """
 
 from __future__ import annotations
@@ -17,15 +17,13 @@ from msgspec import structs
 
 from lfield.quorum.effects import Copies, Effect, Tell, Terminate
 from lfield.quorum.members import DRIFT, Fences, Members
-from lfield.wire.coordinators import Ended
+from lfield.wire.coordinators import TERMINAL, Ended
 from lfield.wire.fields import MAX_LABEL, clip
 from lfield.wire.quorum import Promise
 
 #: An attempt to recover may begin the new start for so many leases after its proposal, and never later. That
 #: is long enough for a host that was stopped for a minute; nothing waits for it while the proposer answers.
 VALID = 40.0
-#: The outcomes that terminate a coordinator; 'superseded' is about one start of it only.
-TERMINAL = ("done", "died", "lost")
 
 
 @dataclass(slots=True)
@@ -124,16 +122,8 @@ class Terminations:
                 effects.append(Tell(promised.host, self.refusal(ended, promised.fence)))
         return effects
 
-    def settled(self, agent: str, generation: int) -> list[Effect]:
-        """A start of that generation is alive, so a recovery up to it begins no more, or has begun."""
-        promised = self._promised.get(agent)
-        if promised is None or generation < promised.fence:
-            return []
-        del self._promised[agent]
-        return self.release(agent)
-
     def conceded(self, host: str, ended: Ended) -> list[Effect]:
-        """A host knows of a termination: if it was promised a recovery, it begins none from before that."""
+        """A host knows of a termination: if it was promised a recovery, that has begun or never will."""
         promised, waits = self._promised.get(ended.agent), self._waiting.get(ended.agent)
         if promised is None or promised.host != host or waits is None:
             return []

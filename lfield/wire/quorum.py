@@ -63,7 +63,7 @@ class Heartbeat(Struct, frozen=True, array_like=True, forbid_unknown_fields=True
 
 
 class Ack(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=31):
-    """The answer: all fences and terminations of this member, or none where the hash says that they are known.
+    """The answer: all fences and terminations of this member, or none where the hash is the same.
 
     `ended` has the newest termination of each coordinator. With number 0 the sender acknowledges nothing: its
     journal is new.

@@ -35,12 +35,15 @@ def run(args: argparse.Namespace) -> int:
     69 when a host did not answer that is not left out: coordinators may still wait there.
     """
     from lfield.operator.addressed import names_of
-    from lfield.operator.ask import ask_parties, start, tell_silent, unheard
+    from lfield.operator.ask import Request, ask_parties, tell_silent, unheard
+    from lfield.wire.observing import StartRequest, StartResponse
 
     parties = meant_parties(args, meant_runs(args))
     _check_hosts(args.without, parties)
     names = names_of(parties)
-    answers = ask_parties(parties, start(args.without), args.keys)
+    # The answer takes as long as the disks of the hosts need; what is asked twice is done once.
+    request = Request(StartRequest(args.without), StartResponse, 8.0, again=True)
+    answers = ask_parties(parties, request, args.keys)
     waits = [place for place, answer in answers.items() if _tell(names[place], answer)]
     left_out = {place: answer for place, answer in answers.items() if place.host not in args.without}
     unreached = unheard(left_out, names)

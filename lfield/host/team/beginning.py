@@ -24,6 +24,8 @@ from lfield.wire.observing import StartResponse, StartStatus, Status, StatusRequ
 #: Why an emergency stop during the wait holds a start back.
 STOPPED = "an emergency stop holds ('lfield estop --lift' ends it)"
 PAUSED = "the mission is paused; 'lfield resume' lets it go on"
+#: Seconds between two looks at what a start waits for, at least.
+LOOK = 0.25
 
 
 class Beginning:
@@ -55,6 +57,7 @@ class Beginning:
         vehicles = [other for other in self._hosts if mission.vehicles_of(other)]
         self.readiness = Readiness(needed, mission.bindings.start.without, vehicles, hearsay.is_linked)
         self._told = self._told_pause = False
+        self._looked_at = 0.0
         #: What watchers were last told of the wait: coordinators, hosts, and why it is held.
         self._shown: tuple[list[str], list[str], str] = [], [], ""
         self._starts = Starts(self.own, others)
@@ -107,6 +110,7 @@ class Beginning:
 
     def look(self) -> None:
         """Something has changed: start what may be started now, and tell what is waited for."""
+        self._looked_at = self._clock.monotonic()
         self._start_if_ready()
         status = self.status
         waits = status is not None and (status.hosts or status.held)
@@ -125,8 +129,12 @@ class Beginning:
 
     @property
     def due(self) -> float | None:
-        """When `look` has something to do by itself, in seconds of the host's clock; None for never."""
-        return self.readiness.due if self._starts.is_waiting and not self._team.halted else None
+        """When `look` has something to do by itself, in seconds of the host's clock; None for never.
+
+        It may wait for other things too (a lease, say), so `LOOK` passes before it is looked at again.
+        """
+        due = self.readiness.due if self._starts.is_waiting and not self._team.halted else None
+        return None if due is None else max(due, self._looked_at + LOOK)
 
     def _new(self) -> list[str]:
         """The coordinators whose start would be a new one."""

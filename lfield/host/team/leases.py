@@ -18,7 +18,7 @@ from lfield.host.team.coordinators import Coordinators
 from lfield.journal.pages import Fence, Page
 from lfield.mission.mission import Mission
 from lfield.mobility.departures import PERHAPS, RESTARTED
-from lfield.mobility.effects import Persist, Send
+from lfield.mobility.effects import Finished, Persist, Send
 from lfield.mobility.generations import next_recovery
 from lfield.quorum import effects as quorum
 from lfield.quorum.core import Quorum
@@ -45,6 +45,12 @@ FORGOTTEN = (
     "no lease is given here before {0} {1} heard: the journal here is new, or has lost a promise; when a "
     "member is gone for good, start all hosts with a 'recovery: {{members: [...]}}' that leaves it out; "
     "--first-start says that this host has never run this deployment"
+)
+#: A host without a lease may not have heard of a termination, and what it recovers could not act.
+UNHEARD = (
+    "{0} runs under leases and {1} hears no majority of the members, which may know that it has ended: ask "
+    "again when {1} does; when members are gone for good, start all hosts with a 'recovery: {{members: "
+    "[...]}}' that leaves them out"
 )
 #: An older copy would do again what has been done since: that is for a person to say.
 STUCK = (
@@ -226,6 +232,17 @@ class Leases:
             return f"no start of {agent} as early as this one may run any more"
         return self._team.mobility.over(agent, generation)
 
+    def why_not_recovered(self, agent: str, generation: int) -> str:
+        """Why an operator may not recover a coordinator here from its start `generation`; '' if they may."""
+        ended = self._team.mobility.termination(agent)
+        if agent in self.fenced and (known := self.quorum.terminations.covers(agent, generation)):
+            return f"{agent} has ended on {known.host} ({known.outcome}): there is nothing to go on with"
+        if ended is not None:
+            return f"{agent} has ended on {ended.ended_on} ({ended.outcome}): there is nothing to go on with"
+        if agent in self.fenced and self.waits:
+            return UNHEARD.format(agent, self._own.host)
+        return ""
+
     def until(self, caller: Caller, device: str) -> float:
         """Until when a device may be actuated for a coordinator, in seconds of this host's clock.
 
@@ -265,9 +282,10 @@ class Leases:
 
     def _terminated(self, ended: Ended) -> None:
         """Another host says that a coordinator has terminated."""
-        if effects := self._team.mobility.terminated(ended):
+        effects = self._team.mobility.terminated(ended)
+        if any(isinstance(effect, Finished) for effect in effects):
             self._out(Say(f"{ended.agent} has ended on {ended.host} ({ended.outcome})"))
-            self._team.carry_out(effects)
+        self._team.carry_out(effects)
 
     def _bar(self, name: str, generation: int, reason: str) -> None:
         """No start before this may run: what is here stops, and its devices go safe."""

@@ -81,9 +81,11 @@ class Readiness:
         self._lost.pop(host, None)
 
     def on_unlinked(self, host: str, now: float) -> None:
-        """A host cannot be talked to any more, nor is it known how its vehicles are."""
+        """A host cannot be talked to any more."""
         self._lost[host] = now
-        self._forget_vehicles(host)
+        # All are asked again then: it may take long until this one is back.
+        self._asked.clear()
+        self._on_ground.clear()
 
     def on_vehicles(self, host: str, off_ground: Sequence[str]) -> None:
         """A host says which of its vehicles are off the ground."""
@@ -100,12 +102,8 @@ class Readiness:
         """An operator wants the start, and does not want it to wait for some hosts."""
         self._without.update(without)
         self.held = ""
-        for host in list(self._asked):
-            self._forget_vehicles(host)
-
-    def _forget_vehicles(self, host: str) -> None:
-        self._asked.pop(host, None)
-        self._on_ground.discard(host)
+        self._asked.clear()
+        self._on_ground.clear()
 
     # --- questions ------------------------------------------------------------------------------------
 

@@ -244,7 +244,7 @@ class DeafToFast:
             return [Status(number, 0, bytes(size)) for number in numbers]
         if not self.knows_fast:
             return []
-        part = b"".join(bytes((0, number)) + bytes(2 + size) for number in (1, 2))
+        part = b"".join(bytes((0, number)) + bytes(4 + 2) for number in (1, 2))
         return [Status(0xFE, 0, part[1:-2])]
 
 

@@ -44,8 +44,10 @@ coordinator Boss {
 TEAM = "//Boss:boss@alpha?{0}\n//Post:one@alpha\n//Post:two@bravo\n//Post:three@carol\n//@dora\n"
 
 
-def mission(folder: Path, without: str = "", seconds: float = 0.1, team: str = TEAM) -> Mission:
-    (folder / "mission.L").write_text(PROGRAM)
+def mission(
+    folder: Path, without: str = "", seconds: float = 0.1, team: str = TEAM, text: str = PROGRAM
+) -> Mission:
+    (folder / "mission.L").write_text(text)
     (folder / "mission.dL").write_text(team.format(seconds))
     if without:
         (folder / "mission.devices.yaml").write_text(f"start: {{without: [{without}]}}\n")
@@ -337,3 +339,29 @@ def test_an_orderly_restart_while_a_vehicle_is_off_the_ground_begins_nothing_ane
     event(fleet, lambda core: core.startup.start([]))
     fleet.run(1.0)
     assert said(fleet, "boss: begins") == 2
+
+
+def test_a_start_that_waits_for_hosts_and_for_a_lease_costs_no_processor(tmp_path: Path) -> None:
+    """What is due for the log is not looked at again and again while something else is waited for."""
+    text = PROGRAM.replace('print("begins");', 'heartbeatInterval(3.0); print("begins");')
+    made = mission(tmp_path, text=text)
+    fleet = Fleet(made, 1)
+    for name in ("bravo", "carol", "dora"):
+        fleet.power_off(name)
+    fleet.run(5.0)
+    core = fleet.lives["alpha"].core
+    runs, run = [0], core.run
+
+    def counted() -> float | None:
+        runs[0] += 1
+        return run()
+
+    core.run = counted  # type: ignore[method-assign]
+    fleet.boot("dora")
+    fleet.boot("bravo")
+    fleet.run(30.0)
+    fleet.power_off("dora")
+    fleet.power_off("bravo")
+    fleet.run(60.0)
+    assert not started(fleet)
+    assert runs[0] < 90.0 * 60
