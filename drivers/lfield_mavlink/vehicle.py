@@ -126,6 +126,7 @@ class MavlinkVehicle(Contact):
             self._streams.keep(),
             self._health.keep(),
             self._keeper.keep(),
+            self.motion.speed.keep(),
             self._guidance.keep(),
             self._nature.keep(),
         )

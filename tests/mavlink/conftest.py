@@ -65,7 +65,7 @@ class Bench(DriverBench):
         options: dict[str, Any] | None = None,
         safe_state: str = "land",
         ttl: float = 0.5,
-        waivers: tuple[str, ...] = ("device_watchdog",),
+        waivers: tuple[str, ...] = ("device_watchdog", "autonomous_motion"),
         systems: tuple[int, ...] = (1,),
         links: int = 1,
         set_up: bool = True,

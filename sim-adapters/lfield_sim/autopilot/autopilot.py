@@ -10,13 +10,13 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
+from lfield_sim.autopilot.body.goals import ZERO, Circle, Goal, Keep, Lean, Reach, Vector
 from lfield_sim.autopilot.flavours import Control, Kind, Result, Role
 from lfield_sim.autopilot.flight import fly, suffer
 from lfield_sim.autopilot.lifting import begin_takeoff, disarm_when_idle, rise
 from lfield_sim.autopilot.missions import why_no_mission
 from lfield_sim.autopilot.pilot import Pilot
 from lfield_sim.autopilot.stacks import ardupilot, px4
-from lfield_sim.autopilot.vehicle import ZERO, Circle, Goal, Keep, Lean, Reach, Vector
 from lfield_sim.autopilot.watch.failsafes import Failsafes
 from lfield_sim.autopilot.watch.readiness import Unfit, news, why_unfit
 

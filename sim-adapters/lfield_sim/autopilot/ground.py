@@ -5,18 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 
-from lfield_sim.autopilot.vehicle import (
-    ZERO,
-    Goal,
-    Keep,
-    Reach,
-    Rest,
-    Roll,
-    Vector,
-    Vehicle,
-    eased,
-    wrap,
-)
+from lfield_sim.autopilot.body.goals import ZERO, Goal, Keep, Reach, Rest, Roll, Vector
+from lfield_sim.autopilot.vehicle import Vehicle, eased, wrap
 
 #: The speed in m/s down to which one brakes that brakes before it turns back.
 TURNS = 0.3

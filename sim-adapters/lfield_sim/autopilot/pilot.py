@@ -7,24 +7,13 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from random import Random
 
+from lfield_sim.autopilot.body.goals import ZERO, Circle, Descend, Fall, Goal, Keep, Lean, Rest, Sink, Vector
 from lfield_sim.autopilot.equipment import Battery, Payload
 from lfield_sim.autopilot.flavours import Flavour, Kind, Pace, Result, Role
 from lfield_sim.autopilot.ground import GroundVehicle
 from lfield_sim.autopilot.home import Home
 from lfield_sim.autopilot.plans import BOUNDARY, CEILING, NO_BREACH, Fence, Mission, MissionItem, NoFence
-from lfield_sim.autopilot.vehicle import (
-    ZERO,
-    Circle,
-    Descend,
-    Fall,
-    Goal,
-    Keep,
-    Lean,
-    Rest,
-    Sink,
-    Vector,
-    Vehicle,
-)
+from lfield_sim.autopilot.vehicle import Vehicle
 from lfield_sim.state_log import Facts
 
 #: Seconds that a restart takes.

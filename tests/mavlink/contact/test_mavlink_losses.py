@@ -135,7 +135,7 @@ def test_what_it_speaks_against_is_not_believed(flown):
     """Its words are lost the first time."""
 
     async def work(b, fc):
-        fc.motion.stream.start = lambda message, until: None
+        fc.motion.stream.start = lambda target, until: None
         said = []
 
         def lose_the_first(link, packet):

@@ -19,11 +19,11 @@ from lfield_mavlink.link.dialect import dialect
 from lfield_mavlink.modes import ARDUPILOT, PROFILES, PX4
 from lfield_mavlink.parts.fences import Fences, Rally
 from lfield_mavlink.parts.motion import Motion
-from lfield_mavlink.parts.orders import Circle
 from lfield_mavlink.parts.payload import Payload
 from lfield_mavlink.parts.storage import MAX_TEXT, Files, Settings
 from lfield_mavlink.parts.upkeep import Upkeep
 from lfield_mavlink.services.plan_items import Item, PlanKind
+from lfield_mavlink.setpoints.orders import Circle
 from lfield_mavlink.watchdog import Watchdog
 
 
@@ -241,13 +241,14 @@ def test_a_mode_that_was_not_entered_leaves_the_vehicle_ours():
 def test_the_wanted_speed_is_what_was_asked_for_last_else_the_limit():
     vehicle = StandIn(PX4)
     motion = Motion(vehicle, Parameters())
-    asyncio.run(motion.keep_speed())
+    asyncio.run(motion.speed.keep_wanted())
     assert vehicle.asked == []
     vehicle.binding = binding(speed=5.0)
-    assert motion.wanted_speed == 5.0
-    asyncio.run(motion.set_speed(2.0))
-    asyncio.run(motion.keep_speed())
-    assert vehicle.asked == [("speed", dialect.MAV_CMD_DO_CHANGE_SPEED, 1.0, 2.0, -1.0)] * 2
+    assert motion.speed.wanted == 5.0
+    asyncio.run(motion.speed.set(2.0))
+    assert vehicle.asked == [], "there is nothing yet that PX4 would keep it for"
+    asyncio.run(motion.speed.keep_wanted())
+    assert vehicle.asked == [("speed", dialect.MAV_CMD_DO_CHANGE_SPEED, 1.0, 2.0, -1.0)]
 
 
 def farthest(centre, radius):
