@@ -29,9 +29,9 @@ class Port:
     writer: Writer
     signing: LinkSigning | None
 
-    def send(self, message: Any) -> None:
-        """One message as one packet."""
-        self.link.send(self.writer.pack(message))
+    def send(self, message: Any, station: int) -> None:
+        """One message as one packet, of the station with this system id."""
+        self.link.send(self.writer.pack(message, station))
 
 
 @dataclass(frozen=True, slots=True)

@@ -66,6 +66,7 @@ class Flight:
         self._motion.begin("arm")
         if self._state.armed:
             return
+        vehicle.check_station("arm")
         await vehicle.check_settings()
         if self._state.mode != vehicle.profile.arming:
             await self._motion.set_mode(vehicle.profile.arming)
