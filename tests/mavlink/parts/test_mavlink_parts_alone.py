@@ -30,7 +30,7 @@ from lfield_mavlink.watchdog import Watchdog
 def binding(**limits: float) -> DeviceBinding:
     return DeviceBinding(
         agent="a", field="fc", type="Mavlink", driver="mavlink", endpoint="x", safe_state="land",
-        ttl=1.0, limits=limits, options={"tolerance": 0.5},
+        ttl=1.0, limits=limits, options={"tolerance": 0.5, "system": 1, "station": 0},
     )  # fmt: skip
 
 
