@@ -98,6 +98,7 @@ class Motion:
                 f"{what} refused: the vehicle is in {self._state.mode}, which this program did not "
                 f"choose; {self.failsafe.holding}. release() takes it back"
             )
+        self._vehicle.take_charge()
         self._began, self._stopped = self._vehicle.clock.monotonic(), ""
         self.speed.begin()
         self.brake()

@@ -37,6 +37,9 @@ def binding(**limits: float) -> DeviceBinding:
 class StandIn:
     """As much of a Contact as parts use; what is asked for is kept, and accepted unless it is `refused`."""
 
+    def take_charge(self) -> None:
+        """It is ours."""
+
     def __init__(self, autopilot: int = ARDUPILOT) -> None:
         self.clock, self.system, self.binding = ManualClock(), 1, binding()
         self.state = VehicleState("copter")
