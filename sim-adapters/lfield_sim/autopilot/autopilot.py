@@ -15,6 +15,7 @@ from lfield_sim.autopilot.flavours import Control, Kind, Result, Role
 from lfield_sim.autopilot.flight import fly, suffer
 from lfield_sim.autopilot.lifting import begin_takeoff, disarm_when_idle, rise
 from lfield_sim.autopilot.missions import why_no_mission
+from lfield_sim.autopilot.pace import RoverPace
 from lfield_sim.autopilot.pilot import Pilot
 from lfield_sim.autopilot.stacks import ardupilot, px4
 from lfield_sim.autopilot.watch.failsafes import Failsafes
@@ -64,6 +65,8 @@ class Autopilot(Pilot):
         if self.flavour.drifts:
             self.homing.step(dt, self.vehicle.place, flying=self.vehicle.airborne)
         self.vehicle.limits.cruise = self.pace.speed
+        if isinstance(self.pace, RoverPace):
+            self.vehicle.limits.shoots_over = self.pace.is_commanded
         self.payload.step(dt)
         self.battery.step(dt, armed=self.armed, flying=self.vehicle.airborne, load=self.vehicle.wind.load)
         self.vehicle.wind.step(dt)
