@@ -18,11 +18,11 @@ from lfield_mavlink.setpoints.correction import SpeedCorrection
 from lfield_mavlink.setpoints.target import ONLY_POSITION, ONLY_VELOCITY, POSITION_AND_YAW, Target
 
 #: m/s upwards and downwards; the autopilot's own parameters (MPC_Z_VEL_MAX_UP, _DN) bound them too.
-CLIMB, SINK = 2.0, 1.2
+CLIMB, SINK = 2.5, 1.5
 #: m/s upwards from the ground (MPC_TKO_SPEED).
 LIFTS = 1.5
 #: m/s2 by which a target gains and loses speed.
-GAINS, LOSES = 1.5, 1.0
+GAINS, LOSES = 2.5, 4.0
 #: Seconds of its speed by which a vehicle follows its target.
 FOLLOWS = 1.05
 #: The longest distance of a target from its vehicle: so many seconds of its speed, and so many metres. In the
