@@ -20,6 +20,10 @@ if TYPE_CHECKING:
     from lfield.wire.framing import Buffer
 
 
+#: The outcomes that terminate a coordinator; 'superseded' is about one start of it only.
+TERMINAL = ("done", "died", "lost")
+
+
 class Recoveries:
     """What one host, `host`, may go on with although it is not the holder."""
 
@@ -78,6 +82,14 @@ def bar(copies: Collection[Copy], generation: int, reason: str) -> list[Effect]:
 
 def newest(copies: Collection[Copy]) -> Copy | None:
     """The copy that a coordinator could go on from; None when nothing is here, or a later start has ended."""
-    ended = max((copy.generation for copy in copies if copy.outcome in ("done", "died", "lost")), default=0)
+    ended = max((copy.generation for copy in copies if copy.outcome in TERMINAL), default=0)
     here = (copy for copy in copies if copy.state not in ("ABSENT", "EXITED") and copy.generation > ended)
     return max(here, key=lambda copy: copy.generation, default=None)
+
+
+def termination(copies: Collection[Copy]) -> Copy | None:
+    """The newest start that has terminated; None without one, or when a later one is left here."""
+    if newest(copies) is not None:
+        return None
+    ended = (copy for copy in copies if copy.outcome in TERMINAL)
+    return max(ended, key=lambda copy: copy.generation, default=None)

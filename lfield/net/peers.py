@@ -21,7 +21,7 @@ from lfield.errors import AddressError, GreetingError, KeysError, WireError
 from lfield.loop import spare_descriptors, spawn
 from lfield.net.greeting import Greeting
 from lfield.net.guests import Guests
-from lfield.net.owner import Complaints, Owner
+from lfield.net.owner import Complaints, Owner, Refusals
 from lfield.net.session import Session
 from lfield.net.transport import Link, Listener, Transport
 from lfield.wire.coordinators import Transfer
@@ -63,7 +63,6 @@ class Peers:
     ) -> None:
         self._owner, self._transport, self._clock = owner, transport, clock
         self._admission = admission or Admission()
-        #: The clock's monotonic time.
         self.now = clock.monotonic
         self._hosts, self._addresses, self._here, self._near = hosts, addresses, here, near
         self._numbers = {host: number for number, host in enumerate(hosts)}
@@ -88,6 +87,7 @@ class Peers:
         self._last_heard: dict[str, float] = {}
         #: Since when each host that is wanted and has no link has had none, on the monotonic clock.
         self.away: dict[str, float] = {}
+        self.refusals = Refusals(hosts)
 
     @property
     def incarnations(self) -> dict[str, int]:
@@ -151,10 +151,8 @@ class Peers:
         """Send a coordinator to a host. Where the link is just closing, `unlinked` is about to follow."""
         session = self._links.get(host)
         if session:
-            try:
+            with suppress(AddressError):
                 session.link.send_transfer(header, block)
-            except AddressError:
-                return
 
     # --- both directions ------------------------------------------------------------------------------
 
@@ -217,15 +215,16 @@ class Peers:
         try:
             link = await self._transport.connect(address, session)
             if self._links.get(name) not in (None, session):
-                # It has called meanwhile.
                 link.close()
             else:
                 session.begin(link)
             await session.over.wait()
             return session.reason
         except (AddressError, GreetingError, WireError) as error:
-            # Who does not prove who it is was there, which is news.
-            session.connected |= not isinstance(error, AddressError)
+            # A host that does not prove its identity has answered all the same.
+            answered = not isinstance(error, AddressError)
+            session.connected |= answered
+            self.refusals.report(name, str(error) if answered else "")
             return str(error)
         finally:
             self._dialling.pop(name, None)
@@ -266,7 +265,6 @@ class Peers:
     def _look_at(self, host: str, session: Session, now: float, token: int) -> None:
         silent = now - session.heard
         if not self.wants(host):
-            # From here on nobody need ask for signs of life.
             session.idle = now
             if silent > QUIET_FOR:
                 session.link.close()
@@ -356,6 +354,7 @@ class Peers:
             old.link.close()
         self.away.pop(hello.host, None)
         self._tried.discard(hello.host)
+        self.refusals.report(hello.host, "")
         self._owner.linked(hello)
         self._heard_of(hello.host)
 

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from lfield.authority.identity import Identity
     from lfield.authority.judge import Verdict
     from lfield.net.greeting import Greeting
+    from lfield.net.owner import Refusals
     from lfield.net.transport import Link
 
 #: Whoever has not greeted after so many seconds is no host.
@@ -37,6 +38,10 @@ class Sessions(Protocol):
 
     def gone(self, session: Session) -> None:
         """A link is closed."""
+
+    @property
+    def refusals(self) -> Refusals:
+        """Where it is reported that a link was refused."""
 
     def heard(self, session: Session, message: Control) -> None:
         """A message came in on a greeted link."""
@@ -175,6 +180,8 @@ class Session:
         """The end of the link."""
         self._relax()
         self.reason = self.reason or str(error or "")
+        if isinstance(error, GreetingError) and not self.linked:
+            self._report_refusal()
         # Whoever only looks goes as it likes, without a word.
         went = self.hello is not None and self.hello.role == "observer" and isinstance(error, AddressError)
         if error and not self.dialled and not went:
@@ -216,6 +223,14 @@ class Session:
         with suppress(AddressError):
             if self._greeting.refusal:
                 self.link.send(self._greeting.refusal)
+
+    def _report_refusal(self) -> None:
+        """The host at the other end is the one that was dialled, or that its certificate names."""
+        host = self.dialled or (self.link.who.name if self.link.who.kind == "host" else "")
+        if host and self.connected:
+            told = self._greeting.refusal
+            reason = told.reason if told else self.reason
+            self._peers.refusals.report(host, reason, self._greeting.refused_bundle)
 
     @property
     def caller(self) -> str:

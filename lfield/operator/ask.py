@@ -30,6 +30,7 @@ from lfield.wire.observing import (
     Pause,
     Recover,
     Recovered,
+    StartResponse,
     Status,
     StatusRequest,
 )
@@ -37,7 +38,7 @@ from lfield.wire.observing import (
 if TYPE_CHECKING:
     from lfield.authority.keys import Keys
 
-T = TypeVar("T", bound=Status | EmergencyStopped | Forgotten | Recovered)
+T = TypeVar("T", bound=Status | EmergencyStopped | Forgotten | Recovered | StartResponse)
 K = TypeVar("K", bound=Hashable)
 
 #: For each host by its name what it answered, or the error that stood in the way.
@@ -58,11 +59,10 @@ _MAX_BLOCK = 1 << 20
 class Request(Generic[T]):
     """What can be asked: the message, what answers it, and the seconds that a host has for that.
 
-    What is to be asked `again` is until then, where a link ends before it has brought an answer: a host in a
-    flood of callers turns away by lot. Whatever comes twice must be the same as once.
+    What may come twice is asked `again` until then, where a link (in a flood, say) ends without an answer.
     """
 
-    message: StatusRequest | EmergencyStop | Forget | Pause | Recover
+    message: Message
     answer: type[T]
     bound: float
     again: bool = False

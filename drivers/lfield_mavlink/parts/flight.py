@@ -67,6 +67,7 @@ class Flight:
         if self._state.armed:
             return
         vehicle.check_station("arm")
+        await vehicle.check_alone()
         await vehicle.check_settings()
         if self._state.mode != vehicle.profile.arming:
             await self._motion.set_mode(vehicle.profile.arming)

@@ -227,7 +227,7 @@ BUGS = [
         resume_after_the_point_of_no_return,
         "appendix I as printed: what was sent may have arrived",
         frozenset({"I1", "I4"}),
-        1,
+        3,
     ),
     Bug(
         no_memory_of_ids,
