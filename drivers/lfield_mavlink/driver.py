@@ -12,6 +12,7 @@ from lfield_mavlink.link.links import AGAIN, Link, LinkEvents, OnData, make_link
 from lfield_mavlink.link.ports import LinkCounts, Neighbours, Port, Route, foreign_words, is_foreign
 from lfield_mavlink.link.signing import open_signing, sign_link
 from lfield_mavlink.link.sources import Source, Sources
+from lfield_mavlink.link.station import beat, check_stations, is_echo, station_of, why_not_alone
 from lfield_mavlink.vehicle import MavlinkVehicle
 
 #: Seconds between our own heartbeats: several within the shortest failsafe (2 s), since some are lost.
@@ -27,8 +28,9 @@ class MavlinkDriver(Driver):
         system: int = binding.option("system")
         # Of two devices with one system id, none is opened.
         sources = self._sources[system] = Sources(system, split_endpoint(self.endpoint))
+        send = partial(self._send_to, system, station_of(binding))
         given = binding, self.manifests[binding.type], self.clock, self.reports
-        return MavlinkVehicle(*given, partial(self._send_to, system), self._counts, self._why_silent, sources)
+        return MavlinkVehicle(*given, send, self._counts, self._why_silent, sources)
 
     def _set_up(self) -> None:
         self._sources: dict[int, Sources] = {}
@@ -46,6 +48,8 @@ class MavlinkDriver(Driver):
             if device.system in self._vehicles:
                 raise device.error(f"two devices are system {device.system} on {self.endpoint}")
             self._vehicles[device.system] = device
+        check_stations(self.bindings)
+        self._stations = {vehicle.station: vehicle for vehicle in self._vehicles.values()}
         self._signing = open_signing(self.bindings, self.clock)
         endpoints = split_endpoint(self.endpoint)
         self._routes = {system: Route(len(endpoints)) for system in self._vehicles}
@@ -144,7 +148,7 @@ class MavlinkDriver(Driver):
             vehicle = self._vehicles.get(system)
             # Cameras and gimbals have heartbeats too; only the autopilot's says how the vehicle is.
             if vehicle is None or message.get_srcComponent() != AUTOPILOT:
-                self._neighbours.heard(message)
+                self._on_neighbour(message)
             elif is_foreign(message):
                 self._neighbours.heard(message)
                 self._ignore(vehicle, source, message)
@@ -172,6 +176,16 @@ class MavlinkDriver(Driver):
             "give their sender ids of its own"
         )
 
+    def _on_neighbour(self, message: Any) -> None:
+        """Somebody else is heard: nobody may have the id of a station of ours."""
+        self._neighbours.heard(message)
+        vehicle = self._stations.get(message.get_srcSystem())
+        if vehicle is None or message.get_msgId() != dialect.MAVLINK_MSG_ID_HEARTBEAT:
+            return
+        if not is_echo(message, vehicle.system) and not vehicle.not_alone:
+            vehicle.not_alone = why_not_alone(message)
+            vehicle.note(vehicle.not_alone)
+
     def _is_spare(self, source: Source, header: Header) -> bool:
         """Whether a packet need not be decoded: of nobody here, or telemetry that comes faster than wanted.
 
@@ -188,19 +202,18 @@ class MavlinkDriver(Driver):
             sources.touch(source, self.clock.monotonic())
         return spare
 
-    def _send_to(self, system: int, message: Any) -> None:
+    def _send_to(self, system: int, station: int, message: Any) -> None:
         for number in self._routes[system].links(self.clock.monotonic()):
-            self._ports[number].send(message, self._sources[system].address(number))
+            self._ports[number].send(message, station, self._sources[system].address(number))
 
     async def _beat(self) -> None:
-        """Be heard as a ground station on every link, as the autopilots' failsafes expect."""
-        message = dialect.MAVLink_heartbeat_message(
-            dialect.MAV_TYPE_GCS, dialect.MAV_AUTOPILOT_INVALID, 0, 0, dialect.MAV_STATE_ACTIVE, 3
-        )
+        """Be heard as the ground station of each vehicle on every link, as their failsafes expect."""
+        beats = [(vehicle, beat(vehicle.system)) for vehicle in self._vehicles.values()]
         while True:
+            for vehicle, message in () if self._quieted else beats:
+                for port in self._ports if vehicle.may_beat else ():
+                    port.send(message, vehicle.station)
             if not self._quieted:
-                for port in self._ports:
-                    port.send(message)
                 self._ask_for_boards()
             await asyncio.sleep(HEARTBEAT)
 
@@ -214,4 +227,5 @@ class MavlinkDriver(Driver):
                 ask = dialect.MAVLink_command_long_message(
                     system, AUTOPILOT, number, 0, version, 0, 0, 0, 0, 0, 0
                 )
-                self._ports[source.link].send(ask, source.address)
+                station = self._vehicles[system].station
+                self._ports[source.link].send(ask, station, source.address)

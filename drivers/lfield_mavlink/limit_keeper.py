@@ -119,7 +119,7 @@ class LimitKeeper:
                 self._vehicle.note(f"{self._words(name, kept)}; {why}")
         elif not kept.corrected:
             kept.corrected = True
-            again = " for the rest of this motion" if self._motion.was_slowed else ""
+            again = " for the rest of this motion" if self._motion.speed.was_slowed else ""
             does = f"told to be slower{again}" if name == "speed" else "it holds"
             self._vehicle.note(f"{self._words(name, kept)}; {does}")
             self._tasks.put_nowait((name, True))
@@ -150,10 +150,10 @@ class LimitKeeper:
 
     async def _speed_up(self) -> None:
         """Have it go on at the speed that was wanted, if it still does what it was corrected in."""
-        speed = self._motion.faster
+        speed = self._motion.speed.faster
         if speed is not None and self._state.armed and self._motion.ours:
             self._vehicle.note(f"told {speed:g} m/s again")
-            await self._motion.speed_up(speed)
+            await self._motion.speed.speed_up(speed)
 
     def _words(self, name: str, kept: _Kept) -> str:
         return f"{_WORDS[name].format(kept.value)}, beyond its limit of {self._limit(name)}"

@@ -10,6 +10,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+#: The waiver of motions that an autopilot flies by itself, which go on when this computer is dead.
+AUTONOMOUS = "autonomous_motion"
 #: MAV_AUTOPILOT of the two that are served.
 ARDUPILOT, PX4 = 3, 12
 STACKS: Mapping[int, str] = {ARDUPILOT: "ArduPilot", PX4: "PX4"}
@@ -23,8 +25,9 @@ class Profile:
     """A kind of vehicle under one autopilot.
 
     `guided` is the mode for our setpoints, `arming` the one to be armed in. `hold`, `land` and `home` are the
-    safe states. `own` are modes it enters by itself when it has done what we asked, so they are nobody
-    else's doing. `retreats` are modes that its failsafes may choose beside those of the safe states.
+    safe states. `own` are modes that it enters by itself on the ground when it has done what we asked, so
+    they are nobody else's doing. `retreats` are modes that its failsafes may choose beside those of the safe
+    states; in `autonomous` ones it moves by itself, whatever comes from here.
     """
 
     autopilot: int
@@ -39,6 +42,12 @@ class Profile:
     own: frozenset[str] = frozenset()
     retreats: frozenset[str] = frozenset()
     flies: bool = True
+    autonomous: frozenset[str] = frozenset()
+
+    @property
+    def by_trajectory(self) -> bool:
+        """Whether it moves by a stream of setpoints: a PX4, but for fixed wings."""
+        return self.px4 and self.kind != "plane"
 
     @property
     def stack(self) -> str:
@@ -74,6 +83,12 @@ class Profile:
         if number is None:
             return None
         return (float(number >> 16 & 0xFF), float(number >> 24)) if self.px4 else (float(number),)
+
+    def mode_command(self, name: str) -> tuple[float, ...]:
+        """The parameters of DO_SET_MODE for a mode that there is (MAV_MODE_FLAG_CUSTOM_MODE_ENABLED is 1)."""
+        values = self.mode_values(name)
+        assert values is not None, "the names are those of the table, or have been looked up in it"
+        return (1.0, *values)
 
 
 # MAV_TYPE: quadrotor, coaxial, helicopter, hexarotor, octorotor, tricopter, dodecarotor
@@ -214,6 +229,20 @@ PX4_WORDS: Mapping[str, tuple[str, ...]] = {
     "TERMINATION": ("Termination",),
 }
 _PX4_OWN = frozenset({"AUTO.TAKEOFF", "AUTO.LOITER"})
+#: In which it moves with neither sticks nor setpoints.
+_PX4_AUTONOMOUS = frozenset(_PX4_MODES.values()) - frozenset(
+    {
+        "MANUAL",
+        "ALTCTL",
+        "POSCTL",
+        "POSCTL.SLOW",
+        "ACRO",
+        "STABILIZED",
+        "RATTITUDE",
+        "OFFBOARD",
+        "TERMINATION",
+    }
+)
 
 # What the tables of failsafe actions have beside land, return and hold.
 _RETURNS = frozenset({"SMART_RTL", "AUTO_RTL"})
@@ -224,8 +253,9 @@ _PX4_RETREATS = frozenset({"AUTO.PRECLAND", "TERMINATION"})
 def _of_px4(kind: str, types: frozenset[int], land: str, *, flies: bool) -> Profile:
     hold, home = "AUTO.LOITER", "AUTO.RTL"
     return Profile(
-        PX4, kind, types, _PX4_MODES, "OFFBOARD", hold, hold, land, home, _PX4_OWN, _PX4_RETREATS, flies
-    )
+        PX4, kind, types, _PX4_MODES, "OFFBOARD", hold, hold, land, home, _PX4_OWN, _PX4_RETREATS, flies,
+        _PX4_AUTONOMOUS,
+    )  # fmt: skip
 
 
 def _of_ardupilot(

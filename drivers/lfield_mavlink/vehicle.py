@@ -18,6 +18,7 @@ from lfield_mavlink.limits import Limits
 from lfield_mavlink.link.dialect import dialect
 from lfield_mavlink.link.ports import LinkCounts
 from lfield_mavlink.link.sources import Sources
+from lfield_mavlink.modes import AUTONOMOUS
 from lfield_mavlink.nature import Nature
 from lfield_mavlink.parts.fences import Fences, Rally
 from lfield_mavlink.parts.flight import Flight
@@ -107,7 +108,7 @@ class MavlinkVehicle(Contact):
     def _on_stranger(self, message: Any) -> None:
         if message.get_msgId() == dialect.MAVLINK_MSG_ID_HEARTBEAT:
             self.state.autopilot, self.state.type = message.autopilot, message.type
-        elif is_for_us(message) and message.get_msgId() in (
+        elif is_for_us(message, self.station) and message.get_msgId() in (
             dialect.MAVLINK_MSG_ID_AUTOPILOT_VERSION,
             dialect.MAVLINK_MSG_ID_COMMAND_ACK,
         ):
@@ -187,6 +188,8 @@ class MavlinkVehicle(Contact):
         self.check_identity()
         await self._identity.learn()
         await self._streams.prepare()
+        if self.profile.px4 and (reason := self.binding.reasons.get(AUTONOMOUS)):
+            self.note(f"its own motions go on when this computer dies, as its binding waives: {reason}")
         return f"{self.profile.stack} {self.profile.kind}, system {self.system}"
 
     def _touched(self) -> bool:
@@ -206,6 +209,7 @@ class MavlinkVehicle(Contact):
             self._streams.keep(),
             self._health.keep(),
             self._keeper.keep(),
+            self.motion.speed.keep(),
             self._guidance.keep(),
             self._nature.keep(),
         )
@@ -255,6 +259,7 @@ class MavlinkVehicle(Contact):
         if self._identity.stranger or self.silence <= LINK_LOST:
             await self._identity.verify()
         await self._flight.make_safe(state)
+        self.take_charge()
 
     def _frame(self) -> Frame | None:
         placement = self.binding.frame
@@ -276,6 +281,7 @@ class MavlinkVehicle(Contact):
     async def do_release(self) -> None:
         """Whatever mode it is in, the program takes the vehicle back."""
         self.motion.release()
+        self.take_charge()
 
     def stop_setpoints(self) -> None:
         """Send no setpoint of a stream any more."""

@@ -16,12 +16,12 @@ from lfield.errors import CoordinatorAlive, LfieldError, NobodyListens, UsageErr
 from lfield.loop import spawn
 from lfield.net.tcp import TcpTransport
 from lfield.operator.addressed import Place
-from lfield.operator.ask import STATUS, Request, ask, ask_all, emergency_stop, forget, pause, recover, start
+from lfield.operator.ask import STATUS, Request, ask, ask_all, emergency_stop, forget, pause, recover
 from lfield.operator.recover import believed
 from lfield.operator.whereabouts import insist_on_doubt, records
 from lfield.simulate.fleet import Fleet
 from lfield.simulate.network import resident
-from lfield.wire.observing import EmergencyStopped, Status
+from lfield.wire.observing import EmergencyStopped, StartRequest, StartResponse, Status
 
 #: What holds until it is taken back.
 Hold = Literal["stop", "pause"]
@@ -114,7 +114,8 @@ class Operator:
 
     async def _start(self) -> None:
         """As `lfield start --without` the hosts that are gone: what was not started during a stop."""
-        await ask_all(self._transport, self._places, start(sorted(self._fleet.gone)))
+        request = Request(StartRequest(sorted(self._fleet.gone)), StartResponse, 8.0, again=True)
+        await ask_all(self._transport, self._places, request)
 
     # --- coordinators of hosts that are gone ----------------------------------------------------------
 

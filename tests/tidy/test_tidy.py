@@ -48,7 +48,6 @@ SMALL = {
     "lfield/net/control.py": "the door of a fake, from outside",
     "lfield/net/guests.py": "who may wait at the door before the greeting",
     "lfield/simulate/judging/breaches.py": "what a judge says, for all of them",
-    "lfield/simulate/judging/devices.py": "what the fake hardware saw",
     "lfield/simulate/judging/saved.py": "what is asked of simulated journals",
     "lfield/simulate/time.py": "the jumping clock",
     "lfield/testing/offers.py": "a team for golden programs",

@@ -13,6 +13,7 @@ from lfield_mavlink.contact.exchange import Exchange, is_for_us
 from lfield_mavlink.contact.state import Texts, VehicleState
 from lfield_mavlink.geo import Place
 from lfield_mavlink.link.dialect import dialect, result_words
+from lfield_mavlink.link.station import station_of
 from lfield_mavlink.modes import PX4_WORDS, STACKS, Profile
 
 #: Seconds without any message after which the link is lost: a call must fail within 3 s.
@@ -22,6 +23,8 @@ LINK_LOST = 2.7
 SHOWS = 5.0
 #: How often a command is sent in that time.
 ATTEMPTS = 5
+#: Seconds from the opening after which a vehicle that was not heard yet hears its station all the same.
+UNHEARD = 3.0
 #: Seconds to wait for a text that explains a refusal.
 EXPLAINS = 0.3
 #: Seconds for a state to show that the first copy of a command was taken, when the second was refused.
@@ -50,6 +53,8 @@ class Contact(Device):
     ) -> None:
         super().__init__(binding, manifest, clock, reports)
         self.system: int = binding.option("system")
+        #: The system id of this computer towards it, and why that is not this computer's alone ('': it is).
+        self.station, self.not_alone = station_of(binding), ""
         #: Set while the owner is gone: nothing is asked for (see Driver.quiet).
         self.quiet = False
         #: Set while the vehicle is not heard.
@@ -57,9 +62,13 @@ class Contact(Device):
         self._send = send
         self.state = VehicleState(binding.option("kind"))
         self._stack: str = binding.option("autopilot")
-        self.exchange = Exchange(self.system, self.send, lambda: self.silence <= LINK_LOST, self._gate)
+        self.exchange = Exchange(
+            self.system, self.station, self.send, lambda: self.silence <= LINK_LOST, self._gate
+        )
         self.texts = Texts()
-        self._heard_at = -math.inf
+        self._heard_at, self._opened_at = -math.inf, clock.monotonic()
+        # Whether this computer has it: what was in use when it was found is nobody's until somebody acts.
+        self._has_charge = False
         self._news = asyncio.Event()
         self._handlers: defaultdict[int, list[Handler]] = defaultdict(list)
         self._expected: dict[asyncio.Future[Any], Callable[[Any], bool]] = {}
@@ -114,6 +123,27 @@ class Contact(Device):
         if self.silence > LINK_LOST:
             raise self.error(f"nothing heard for {self.silence:.1f} s; the link is lost", timeout=True)
 
+    def take_charge(self) -> None:
+        """From now on it is this computer's: heartbeats of its station keep its failsafe content."""
+        self._has_charge = True
+
+    @property
+    def may_beat(self) -> bool:
+        """Whether its station is to be heard.
+
+        One that is armed when it is found was left by somebody: a guard that has died, perhaps. Until this
+        computer commands it, its own failsafe must be able to act. A silent one may wait to be spoken to.
+        """
+        if self.state.heard is None:
+            return self.clock.monotonic() - self._opened_at > UNHEARD
+        self._has_charge = self._has_charge or not self.state.armed
+        return self._has_charge
+
+    def check_station(self, what: str) -> None:
+        """Raise DeviceError when somebody else has the id of its station."""
+        if self.not_alone:
+            raise self.error(f"{what} refused: {self.not_alone}")
+
     @property
     def conflict(self) -> str:
         """Which other vehicle has its system id, '' when none has."""
@@ -149,7 +179,7 @@ class Contact(Device):
         values = self.state.update(message, now)
         if values:
             self.publish(**values)
-        if is_for_us(message):
+        if is_for_us(message, self.station):
             self._hand_over(message)
         self._news.set()
 

@@ -11,7 +11,7 @@ from collections.abc import Awaitable, Callable
 from typing import Any, NamedTuple
 
 from lfield_mavlink.geo import Place
-from lfield_mavlink.link.dialect import AUTOPILOT, COMPONENT, SYSTEM, dialect
+from lfield_mavlink.link.dialect import AUTOPILOT, COMPONENT, dialect
 
 #: Seconds to wait for an answer, and how often to ask. One that is heard meanwhile is asked longer: at a loss
 #: of 20 % each way every third question has no answer.
@@ -32,20 +32,22 @@ async def _no_gate(_: int) -> None:
 
 
 class Exchange:
-    """The open questions to one vehicle; `send` takes a message, `heard` says whether it is heard.
+    """The open questions of a station to one vehicle, both by their system ids.
 
-    `gate` is waited for before each command, with its number; it raises DeviceError when it may not go out.
+    `send` takes a message, `heard` says whether the vehicle is heard. `gate` is waited for before each command,
+    with its number; it raises DeviceError when it may not go out.
     `px4` is set when the autopilot is known: PX4 wants NaN for what is not used, ArduPilot 0.
     """
 
     def __init__(
         self,
         system: int,
+        station: int,
         send: Callable[[Any], None],
         heard: Callable[[], bool] = lambda: False,
         gate: Callable[[int], Awaitable[None]] = _no_gate,
     ) -> None:
-        self.px4 = False
+        self.px4, self._station = False, station
         self._gate = gate
         self._system, self._send, self._heard = system, send, heard
         self._questions: dict[int, _Question] = {}
@@ -123,7 +125,7 @@ class Exchange:
         """Hand an answer to whoever waits for it; answers to others are left alone."""
         if message.get_msgId() == dialect.MAVLINK_MSG_ID_COMMAND_ACK:
             question = self._questions.get(message.command)
-            if question is not None and is_for_us(message):
+            if question is not None and is_for_us(message, self._station):
                 question.answer(message.result, asyncio.get_running_loop().time())
 
     def _command_long(self, number: int, confirmation: int, values: tuple[float | None, ...]) -> Any:
@@ -151,10 +153,10 @@ class Exchange:
         return [unused if value is None else value for value in padded]
 
 
-def is_for_us(message: Any) -> bool:
-    """Whether a message is for everybody, or for this ground station."""
+def is_for_us(message: Any, station: int) -> bool:
+    """Whether a message is for everybody, or for the ground station with this system id."""
     system, component = getattr(message, "target_system", 0), getattr(message, "target_component", 0)
-    return system in (0, SYSTEM) and component in (0, COMPONENT)
+    return system in (0, station) and component in (0, COMPONENT)
 
 
 class _Question:

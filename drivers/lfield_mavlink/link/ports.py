@@ -29,9 +29,9 @@ class Port:
     writer: Writer
     signing: LinkSigning | None
 
-    def send(self, message: Any, address: str = "") -> None:
-        """One message as one packet, to an address behind the link, or ('') to all."""
-        data = self.writer.pack(message)
+    def send(self, message: Any, station: int, address: str = "") -> None:
+        """One message as one packet of a station, to an address behind the link, or ('') to all."""
+        data = self.writer.pack(message, station)
         if address:
             self.link.send_to(data, address)
         else:

@@ -7,6 +7,7 @@ PX4: https://docs.px4.io/main/en/flying/geofence.html
 
 from __future__ import annotations
 
+import asyncio
 import math
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -185,7 +186,7 @@ class OwnFence:
         """The height and the radius of a fence by their names; none when it is switched off."""
         if not await self._parameters.read(switch):
             return _NO_EDGE, _NO_EDGE
-        height, radius = await self._parameters.read(ceiling), await self._parameters.read(circle)
+        height, radius = await asyncio.gather(self._parameters.read(ceiling), self._parameters.read(circle))
         return (ceiling, height or 0.0), (circle, radius or 0.0)
 
 

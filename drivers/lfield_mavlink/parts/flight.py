@@ -13,11 +13,11 @@ from lfield_mavlink.limits import Limits
 from lfield_mavlink.link.dialect import dialect
 from lfield_mavlink.modes import ARDUPILOT, PX4
 from lfield_mavlink.parts.motion import Motion
-from lfield_mavlink.parts.orders import Order, Patience
 from lfield_mavlink.parts.progress import FAR, WayBack
 from lfield_mavlink.parts.readiness import COMPLAINTS, Readiness
 from lfield_mavlink.parts.rest import AT_HOME
 from lfield_mavlink.services.parameters import Parameters
+from lfield_mavlink.setpoints.orders import Order, Patience
 
 #: Seconds for a heartbeat to come that is newer than a stop; one comes every second at least.
 NEWS = 2.5
@@ -66,6 +66,7 @@ class Flight:
         self._motion.begin("arm")
         if self._state.armed:
             return
+        vehicle.check_station("arm")
         await vehicle.check_alone()
         await vehicle.check_settings()
         if self._state.mode != vehicle.profile.arming:
@@ -143,8 +144,8 @@ class Flight:
         def climbing() -> bool:
             return bool(stood) and not state.landed
 
-        if self._vehicle.profile.px4 and state.home is None:
-            raise self._vehicle.error("takeoff: the vehicle has not told where home is")
+        if self._vehicle.profile.px4 and (state.home is None or state.position is None):
+            raise self._vehicle.error("takeoff: the vehicle has not told where it is, or where home is")
         order = self._motion.orders.take_off(state, height)
         await self._motion.start("takeoff", order, taken=climbing)
         near = min(self._motion.tolerance, 0.1 * height)
@@ -162,6 +163,7 @@ class Flight:
 
     async def do_return_home(self) -> None:
         """Back to where home is; what flies and can land is done when it stands there."""
+        self._motion.check_bounded("returnHome", self._vehicle.profile.home)
         await self._check_return("returnHome")
         mode = await self._leave_for("returnHome", "return", dialect.MAV_CMD_NAV_RETURN_TO_LAUNCH)
         if self._vehicle.profile.kind == "copter":
@@ -214,6 +216,7 @@ class Flight:
                 f"setMode refused: {wanted} would fly the mission of the vehicle past the limits; "
                 "call startMission(), which checks it"
             )
+        self._motion.check_bounded(f"setMode to {wanted}", wanted)
         if wanted == profile.home:
             await self._check_return("setMode")
         self._motion.begin(f"mode {wanted}")

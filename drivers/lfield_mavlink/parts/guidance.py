@@ -11,10 +11,10 @@ from lfield.driver import DeviceError
 from lfield_mavlink.contact.contact import Contact
 from lfield_mavlink.geo import Place, Vector
 from lfield_mavlink.limits import Limits
-from lfield_mavlink.link.dialect import dialect, result_words
 from lfield_mavlink.parts.motion import Motion
-from lfield_mavlink.parts.orders import ONLY_VELOCITY, VELOCITY_AND_YAW_RATE, Circle, Order, Patience, Target
 from lfield_mavlink.parts.progress import Following, Revolutions, Turning
+from lfield_mavlink.setpoints.orders import Circle, Order, Patience
+from lfield_mavlink.setpoints.target import ONLY_VELOCITY, VELOCITY_AND_YAW_RATE, Target
 
 #: How exactly a heading is reached, in radians.
 HEADING_TOLERANCE = math.radians(4.0)
@@ -31,12 +31,6 @@ DRIVES_ROUND = Patience(
 )  # fmt: skip
 #: Metres ahead of what does not follow a velocity, where its own fence is looked for.
 AHEAD = 5.0
-#: Seconds of setpoints that PX4 must have noticed before it is told to enter OFFBOARD.
-NOTICES = 0.15
-#: Seconds for an answer, and for the mode to show, before it is told again; and how often PX4 may refuse.
-SHOWN, REFUSALS = 0.05, 2
-#: Seconds after its acceptance, asked again meanwhile, after which it would have said that it does not.
-BELIEVED = 0.1
 
 
 class Guidance:
@@ -85,7 +79,11 @@ class Guidance:
         self._limits.check_goal(what, goal)
         self._check_placed(what)
         motion.begin(what)
-        order = motion.orders.go_to(self._state, goal, motion.wanted_speed)
+        if vehicle.profile.by_trajectory and (why := await motion.fence.why_beyond(goal)):
+            # PX4 follows setpoints up to its fence, and then acts.
+            raise vehicle.error(f"{what} refused: {why}")
+        speed = await motion.speed.of_goal()
+        order = motion.orders.go_to(self._state, goal, speed)
         await motion.start(what, order)
         arrival = await motion.arrival()
 
@@ -94,6 +92,8 @@ class Guidance:
             return math.dist(goal, place) if flies else arrival.left(math.dist(goal[:2], place[:2]))
 
         await motion.travel(what, order, distance, motion.tolerance, motion.patience)
+        if vehicle.profile.by_trajectory and not vehicle.profile.flies:
+            await motion.hold()
 
     async def do_yaw(self, heading: float) -> None:
         """Turn to a heading: on the spot, but for a rover with PX4, which drives round."""
@@ -102,7 +102,7 @@ class Guidance:
         self._check_placed("yaw")
         motion, state = self._motion, self._state
         motion.begin("yaw")
-        order = motion.orders.turn(state, heading, motion.wanted_speed)
+        order = motion.orders.turn(state, heading, motion.speed.wanted)
 
         def left(_: Vector) -> float:
             return math.inf if state.yaw is None else abs(math.remainder(state.yaw - heading, math.tau))
@@ -111,7 +111,7 @@ class Guidance:
             await self._drive_round(order, left)
             return
         await motion.start("yaw", order)
-        patience = TURNS if order.command else TURNS_ON_THE_SPOT
+        patience = TURNS_ON_THE_SPOT if order.target else TURNS
         await motion.travel("yaw", order, left, HEADING_TOLERANCE, patience)
 
     async def _drive_round(self, order: Order, left: Callable[[Vector], float]) -> None:
@@ -159,7 +159,7 @@ class Guidance:
         if not speed > 0.0:
             raise self._vehicle.error(f"setSpeed needs a speed above 0, not {speed:g}")
         self._limits.check_speed("setSpeed", speed)
-        await self._motion.set_speed(speed)
+        await self._motion.speed.set(speed)
 
     async def do_set_velocity(self, north: float, east: float, down: float) -> None:
         """One velocity setpoint: it acts until the time-to-live of the binding, unless it is replaced."""
@@ -197,87 +197,25 @@ class Guidance:
     async def _follow(self, what: str, target: Target) -> None:
         """Send a setpoint, once to ArduPilot; to PX4 again and again until its time-to-live and no longer."""
         motion, vehicle = self._motion, self._vehicle
-        until = vehicle.clock.monotonic() + vehicle.binding.ttl
+        ttl, before = vehicle.binding.ttl, self._state.mode
+        until = vehicle.clock.monotonic() + ttl
         motion.begin(what)
         if vehicle.profile.px4:
-            motion.stream.start(motion.setpoint(target), until)
+            motion.stream.start(target, until)
             try:
-                await self._enter_offboard(what, until)
+                await motion.guided.enter_offboard(what, until, f"the ttl of {ttl:g} s")
             except BaseException:
                 # Failed or called off: what nobody waits for any more is not sent any more.
-                motion.stream.stop()
+                motion.brake()
                 raise
+            motion.claim(vehicle.profile.guided, self._state.mode)
             return
-        if not self._is_guided():
-            await self._enter_guided(until)
-        vehicle.send(motion.setpoint(target))
-
-    async def _enter_guided(self, until: float) -> None:
-        """ArduPilot has entered GUIDED when it acknowledges that: this counts, or its heartbeat, if sooner.
-
-        Any of these packets may be lost, so it is asked again soon. What it refuses, or leaves without an
-        answer for the whole time-to-live, is asked for like any other mode: so the reason is found.
-        """
-        motion, guided, before = self._motion, self._vehicle.profile.guided, self._state.mode
-        result = None
-        while result is None and not self._is_guided():
-            if self._vehicle.clock.monotonic() >= until:
-                break
-            result = await self._ask_for_guided()
-        if result == dialect.MAV_RESULT_ACCEPTED:
-            self._state.enters(guided)
-        if not self._is_guided():
-            await motion.set_mode(guided)
-        # Heartbeats from before may be under way, on another link.
-        motion.claim(guided, before)
-
-    async def _enter_offboard(self, what: str, until: float) -> None:
-        """PX4 enters OFFBOARD when it has noticed the setpoints, and shows it by CURRENT_MODE.
-
-        What it does not enter it accepts all the same, and says so in words at once. CURRENT_MODE comes when
-        the mode changes and then after half a second: when that packet was lost, no such words are enough.
-        """
-        vehicle, guided = self._vehicle, self._vehicle.profile.guided
-        start, pause, refusals, accepted = vehicle.clock.monotonic(), NOTICES, 0, math.inf
-        while not await vehicle.seen(self._is_guided, pause):
-            asked = vehicle.clock.monotonic()
-            if asked >= min(accepted + BELIEVED, max(accepted, until)):
-                break
-            result = await self._ask_for_offboard(asked)
-            refused = vehicle.is_unavailable(guided, asked) or result not in (
-                None,
-                dialect.MAV_RESULT_ACCEPTED,
-            )
-            # The first time it may be that the setpoints were lost.
-            pause, refusals = (NOTICES, refusals + 1) if refused else (0.0, refusals)
-            if refused:
-                accepted = math.inf
-            elif result is not None:
-                accepted = min(accepted, vehicle.clock.monotonic())
-            over = vehicle.clock.monotonic() >= until and accepted == math.inf
-            if not self._is_guided() and (over or refusals == REFUSALS):
-                vehicle.check_link()
-                why = "refused" if refused else f"not entered within the ttl of {vehicle.binding.ttl:g} s"
-                words = "no answer" if result is None else result_words(result)
-                raise vehicle.error(f"{what}: {guided} was {why}: {words}{vehicle.reasons(start)}")
-        self._motion.claim(guided, self._state.mode)
-
-    async def _ask_for_offboard(self, asked: float) -> int | None:
-        """Tell PX4 once, and wait a moment for what becomes of it; the result of the command."""
-        vehicle, guided = self._vehicle, self._vehicle.profile.guided
-        result = await self._ask_for_guided()
-        if result is not None:
-            await vehicle.seen(lambda: self._is_guided() or vehicle.is_unavailable(guided, asked), SHOWN)
-        return result
-
-    async def _ask_for_guided(self) -> int | None:
-        """Tell it once to enter the mode of setpoints; the result, None when none has come soon."""
-        values, command = self._motion.mode_values(self._vehicle.profile.guided), dialect.MAV_CMD_DO_SET_MODE
-        answer = await self._vehicle.exchange.command(command, *values, once=True, patience=SHOWN)
-        return answer.result
-
-    def _is_guided(self) -> bool:
-        return self._state.mode == self._vehicle.profile.guided
+        if not motion.guided.is_entered:
+            if not await motion.guided.enter_guided(until):
+                await motion.set_mode(vehicle.profile.guided)
+            # Heartbeats from before may be under way, on another link.
+            motion.claim(vehicle.profile.guided, before)
+        motion.send(target)
 
     def _check_placed(self, what: str) -> None:
         needs_home = self._vehicle.profile.px4

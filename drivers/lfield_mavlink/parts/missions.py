@@ -85,6 +85,8 @@ class Missions:
 
     async def do_start_mission(self) -> None:
         """Fly the mission that the vehicle holds, on from its current waypoint. Done when it has begun."""
+        profile = self._vehicle.profile
+        self._motion.check_bounded("startMission", profile.mission)
         self._motion.begin("startMission")
         if not self._state.armed:
             raise self._vehicle.error("startMission refused: the vehicle is not armed; call arm() first")
@@ -99,9 +101,12 @@ class Missions:
             raise self._vehicle.error("startMission refused: it stands on the ground; call takeoff() first")
         self._count = len(items)
         start = dialect.MAV_CMD_MISSION_START
-        await self._motion.enter("startMission", self._vehicle.profile.mission, start, 0.0, 0.0)
+        await self._motion.enter("startMission", profile.mission, start, 0.0, 0.0)
+        if profile.px4:
+            # It stays there when the mission is over.
+            self._motion.claim(profile.mission, profile.hold)
         try:
-            await self._motion.keep_speed()
+            await self._motion.speed.keep_wanted()
         except DeviceError as error:
             await self._motion.halt("its speed cannot be limited")
             raise self._vehicle.error(f"startMission: it holds, since {error.reason}") from None

@@ -2,34 +2,39 @@
 
 from __future__ import annotations
 
-import asyncio
 import math
 from collections.abc import Callable
 from contextlib import suppress
-from typing import Any
 
-from lfield.driver import Clock, DeviceError
+from lfield.driver import DeviceError
 from lfield_mavlink.contact.contact import SHOWS, Contact
 from lfield_mavlink.geo import Vector
 from lfield_mavlink.limits import BRAKES
-from lfield_mavlink.link.dialect import AUTOPILOT, dialect
+from lfield_mavlink.link.dialect import dialect
+from lfield_mavlink.modes import AUTONOMOUS
 from lfield_mavlink.parts.failsafe import Failsafe
 from lfield_mavlink.parts.fences import OwnFence
-from lfield_mavlink.parts.orders import ONLY_POSITION, ORDERS, Order, Patience, Stack, Target
 from lfield_mavlink.parts.progress import Arrival, Progress
 from lfield_mavlink.services.parameters import Parameters
+from lfield_mavlink.setpoints.guided_mode import GuidedMode
+from lfield_mavlink.setpoints.orders import Order, Patience, Stack, orders_for, reposition
+from lfield_mavlink.setpoints.speed import Speed
+from lfield_mavlink.setpoints.stream import SetpointStream
+from lfield_mavlink.setpoints.target import Target
+from lfield_mavlink.setpoints.trajectory import Stay, Trajectory
 
-#: Seconds between two setpoints of a stream; PX4 wants more than 2 per second.
-PERIOD = 0.05
-#: How often a vehicle is told to stay before it is told its speed, and the seconds after each: enough that
-#: one arrives on a bad link, and that ArduPilot's control of a position has begun.
-STAYS, BEGINS = 3, 0.1
 #: Of what flies to a goal, and of what drives there.
 ON_ITS_WAY, DRIVES = Patience(), Patience(turning=40.0, detour=30.0)
 #: m/s above which it moves, unless it is told a low speed: then the share of that, and what is always noise.
 MOVES, SHARE, NOISE = 0.3, 0.5, 0.05
 #: The seconds after which one that does not move is asked why.
 ASKED_WHY = 2.0
+#: Seconds without its position after which a moving target waits.
+PLACED = 0.5
+#: Seconds out of OFFBOARD after which no trajectory is followed: a packet of before may come late.
+LEFT = 0.7
+#: m/s over ground with which a stop is followed.
+STAYS_AT = 1.0
 
 
 def stopping_place(place: Vector, velocity: Vector) -> Vector:
@@ -38,62 +43,30 @@ def stopping_place(place: Vector, velocity: Vector) -> Vector:
     return place[0] + velocity[0] * way, place[1] + velocity[1] * way, place[2]
 
 
-class SetpointStream:
-    """Repeats the last setpoint until a time, and never past it: PX4 must be fed."""
-
-    def __init__(self, clock: Clock, send: Callable[[Any], None]) -> None:
-        self._clock, self._send = clock, send
-        self._timer: asyncio.TimerHandle | None = None
-
-    def start(self, message: Any, until: float) -> None:
-        """Send a message now and on until `until` (on the clock), in place of what was sent before."""
-        self.stop()
-        self._repeat(message, until)
-
-    def stop(self) -> None:
-        """Send no more."""
-        if self._timer is not None:
-            self._timer.cancel()
-            self._timer = None
-
-    def _repeat(self, message: Any, until: float) -> None:
-        self._timer = None
-        now = self._clock.monotonic()
-        if now >= until:
-            return
-        self._send(message)
-        if now + PERIOD < until:
-            loop = asyncio.get_running_loop()
-            self._timer = loop.call_later(PERIOD, self._repeat, message, until)
-
-
 class Motion:
     """Modes and motions of one vehicle, for the parts whose instructions move it."""
 
     def __init__(self, vehicle: Contact, parameters: Parameters) -> None:
         self._vehicle, self._state, self._parameters = vehicle, vehicle.state, parameters
         self.fence, self.failsafe = OwnFence(vehicle, parameters), Failsafe(vehicle)
-        self.stream = SetpointStream(vehicle.clock, vehicle.send)
+        self.stream = SetpointStream(vehicle.clock, self.send, self._where, self._is_followed)
+        self.speed = Speed(vehicle, self.stream, parameters)
+        self.guided = GuidedMode(vehicle)
         self.tolerance: float = vehicle.binding.option("tolerance")
         # The modes that the last order leads to; any other mode is somebody else's doing.
         self._commanded: frozenset[str] = frozenset()
-        # What setSpeed() asked for last; the autopilot forgets it with every change of mode.
-        self._speed: float | None = None
-        # Whether ArduPilot's control of a position is running, which keeps the speed that it is told.
-        self._steady = False
-        # Whether the last order sent PX4 to a goal, which it flies to in its mode for staying.
-        self._has_goal = False
-        # The speed of this motion, where it is not the wanted one, and how often it was told to be slower.
-        self._pace: float | None = None
-        self._slowed = 0
         # When the last motion was begun, and why it was stopped by this driver.
         self._began, self._stopped = -math.inf, ""
-        vehicle.on(dialect.MAVLINK_MSG_ID_HEARTBEAT, self._on_heartbeat)
+        # Since when it is not in OFFBOARD any more, None while it is, or is about to enter it.
+        self._left_at: float | None = None
+        self._was_in_guided = False
+        vehicle.on(dialect.MAVLINK_MSG_ID_HEARTBEAT, self._on_mode)
+        vehicle.on(dialect.MAVLINK_MSG_ID_CURRENT_MODE, self._on_mode)
 
     @property
     def orders(self) -> Stack:
         """What this autopilot must be sent for a motion."""
-        return ORDERS[self._vehicle.profile.autopilot]
+        return orders_for(self._vehicle.profile)
 
     # -- modes ----------------------------------------------------------------------------------------
 
@@ -103,7 +76,9 @@ class Motion:
         if self.failsafe.has_it or not self._state.armed:
             return not self._state.armed
         profile = self._vehicle.profile
-        return self._state.mode in (profile.guided, *profile.own, *self._commanded)
+        # What it does by itself ends on the ground; in the air somebody has chosen that mode.
+        own = profile.own if self._state.landed else ()
+        return self._state.mode in (profile.guided, *own, *self._commanded)
 
     def claim(self, *modes: str) -> None:
         """These modes are what this program led to, and no others."""
@@ -115,7 +90,7 @@ class Motion:
         self.claim(self._state.mode)
 
     def begin(self, what: str) -> None:
-        """A new motion ends the setpoints. Raises DeviceError when the vehicle is not ours to move."""
+        """A new motion ends the last one. Raises DeviceError when the vehicle is not ours to move."""
         self._vehicle.check_link()
         self._vehicle.check_identity()
         if not self.ours:
@@ -123,48 +98,67 @@ class Motion:
                 f"{what} refused: the vehicle is in {self._state.mode}, which this program did not "
                 f"choose; {self.failsafe.holding}. release() takes it back"
             )
+        self._vehicle.take_charge()
         self._began, self._stopped = self._vehicle.clock.monotonic(), ""
-        self._slowed, self._pace = 0, None
-        self.stream.stop()
+        self.speed.begin()
+        self.brake()
 
     async def halt(self, why: str) -> None:
         """Hold, whatever is under way; the motion that this ends says why. Raises DeviceError."""
         self._stopped = why
-        self.stream.stop()
+        self.brake()
         await self.hold()
 
     async def hold(self) -> None:
-        """Into the mode for staying where it is, and stay there. Raises DeviceError."""
-        await self.set_mode(self._vehicle.profile.hold)
+        """Stop, and stay there: in the mode for that, or PX4's copter by setpoints. Raises DeviceError.
+
+        In its own mode for staying PX4 would stay as long as any ground station is heard.
+        """
+        profile, place = self._vehicle.profile, self._resting_place
+        if profile.by_trajectory and profile.flies and place is not None and self._state.landed is False:
+            # Without a position, say: then its own mode is what is left.
+            with suppress(DeviceError):
+                await self.start("hold", Order(frozenset({profile.guided}), trajectory=Stay(place, STAYS_AT)))
+                return
+        await self.set_mode(profile.hold)
+
+    def brake(self) -> None:
+        """Have no motion go on: PX4's copter stops by the setpoints that it needs anyway."""
+        place, profile = self._resting_place, self._vehicle.profile
+        stops = self.stream.runs and self._is_in_guided and profile.by_trajectory and profile.flies
+        if stops and place is not None:
+            self._begin_stream(Stay(place, STAYS_AT))
+        else:
+            self.stream.stop()
+
+    @property
+    def _resting_place(self) -> Vector | None:
+        """Where it comes to rest when it brakes now, in metres of home; None where that is not known."""
+        place = self._state.position
+        known = place is not None and self._state.home is not None and self._state.armed
+        return stopping_place(place, self._state.velocity) if known and place is not None else None
 
     async def set_mode(self, name: str) -> None:
         """Any mode that the vehicle has; the one for staying stops it. Raises DeviceError."""
-        self._slowed = 0
+        self.speed.forget_slowing()
         if name != self._vehicle.profile.hold or not await self._stays():
-            await self.enter(f"mode {name}", name, dialect.MAV_CMD_DO_SET_MODE, *self.mode_values(name))
+            values = self._vehicle.profile.mode_command(name)
+            await self.enter(f"mode {name}", name, dialect.MAV_CMD_DO_SET_MODE, *values)
 
     async def _stays(self) -> bool:
         """Send PX4 to where it can stop, if it may be flying a goal; whether it was, and took that.
 
-        It does so in the very mode for staying, and goes on to its goal when the mode is asked for again.
+        It flies to a goal of a ground station in the very mode for staying, and goes on to it when that mode
+        is commanded again.
         """
-        profile, state, place = self._vehicle.profile, self._state, self._state.position
-        # A goal that was sent a moment ago may not show in the mode yet.
-        goes = state.armed and (state.mode == profile.hold or self._has_goal)
-        if not (profile.px4 and goes) or place is None or state.home is None:
+        profile, state, place = self._vehicle.profile, self._state, self._resting_place
+        if not profile.px4 or state.mode != profile.hold or place is None:
             return False
         try:
-            order = self.orders.go_to(state, stopping_place(place, state.velocity), self.wanted_speed)
-            await self.start("hold", order)
+            await self._begin("hold", reposition(state, place, None))
         except DeviceError:
             return False
         return True
-
-    def mode_values(self, name: str) -> tuple[float, ...]:
-        """The parameters of DO_SET_MODE for a mode that there is."""
-        values = self._vehicle.profile.mode_values(name)
-        assert values is not None, "the names are those of the table, or have been looked up in it"
-        return (float(dialect.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED), *values)
 
     async def enter(
         self,
@@ -178,34 +172,97 @@ class Motion:
         # Noted before it is known to have worked: a safe state that is tried again must count as ours, and so
         # must the mode that it is still in when the new one is refused.
         self._commanded |= {mode}
-        fed = self._state.mode == "OFFBOARD"
+        fed = self._vehicle.profile.px4 and self._is_in_guided
         await self._vehicle.achieve(
             what, lambda: self._state.mode == mode or done(), command, *values, mode=mode
         )
         if fed:
             await self.failsafe.did_the_same(what, command, *values)
-        self._has_goal = False
+        if mode != self._vehicle.profile.guided:
+            self.stream.stop()
         self.claim(mode)
 
     # -- motions --------------------------------------------------------------------------------------
 
     async def start(self, what: str, order: Order, taken: Callable[[], bool] | None = None) -> None:
-        """Begin an order: mode, command, the mode it leads to, and its speed. Raises DeviceError."""
+        """Begin an order: mode, command or setpoints, the mode they lead to, and its speed.
+
+        Raises DeviceError, also when PX4 does it by itself and the binding does not waive that.
+        """
+        if order.command is not None and self._vehicle.profile.px4:
+            self._check_waived(what, f"PX4 flies {' or '.join(sorted(order.modes))} by itself")
+        await self._begin(what, order, taken)
+
+    async def _begin(self, what: str, order: Order, taken: Callable[[], bool] | None = None) -> None:
         if order.mode and self._state.mode != order.mode:
             await self.set_mode(order.mode)
         # As in `enter`: until the new order is seen, the mode it is still in is ours too.
         self._commanded |= order.modes
-        self._has_goal = order.modes == {self._vehicle.profile.hold}
         if (command := order.command) is not None:
-            self._steady = False
+            self.speed.begin_command()
             await self._vehicle.command(
                 what, command.number, *command.values, place=command.place, taken=taken
             )
+        if order.trajectory is not None:
+            await self._follow(what, order.trajectory)
         await self._vehicle.until(lambda: self._state.mode in order.modes, SHOWS, what)
         self.claim(*order.modes)
-        self._pace = order.speed
-        if order.speed is not None and order.command is None:
-            await self._keep_pace(order.speed)
+        await self.speed.fly_at(order.speed if order.command is None else None, self.send)
+
+    def check_bounded(self, what: str, mode: str) -> None:
+        """Refuse a mode in which PX4 moves by itself, unless the binding waives that. Raises DeviceError.
+
+        One that is the binding's safe state, or leads down, or stays, may go on when this computer dies.
+        """
+        profile, binding = self._vehicle.profile, self._vehicle.binding
+        bounded = {profile.land, profile.hold, profile.safe(binding.safe_state)}
+        if mode in profile.autonomous - bounded:
+            self._check_waived(what, f"PX4 flies {mode} by itself")
+
+    def _check_waived(self, what: str, why: str) -> None:
+        if not self._vehicle.binding.waives(AUTONOMOUS):
+            raise self._vehicle.error(
+                f"{what} refused: {why}, and would go on when this computer dies, as long as it hears any "
+                f"ground station. Use goTo, orbit and land, or accept it by 'waivers: "
+                f"{{{AUTONOMOUS}: REASON}}' in its binding"
+            )
+
+    async def _follow(self, what: str, trajectory: Trajectory) -> None:
+        """Have PX4 follow a moving target, and see that it does. Raises DeviceError."""
+        self._begin_stream(trajectory)
+        try:
+            until = self._vehicle.clock.monotonic() + SHOWS
+            await self.guided.enter_offboard(what, until, f"{SHOWS:g} s")
+        except BaseException:
+            self.stream.stop()
+            raise
+
+    def _begin_stream(self, trajectory: Trajectory) -> None:
+        self._left_at, self._was_in_guided = None, self._is_in_guided
+        self.stream.follow(trajectory)
+
+    def _where(self) -> tuple[Vector | None, Vector]:
+        """Where it is, None where that is not known any more, and its velocity."""
+        state, now = self._state, self._vehicle.clock.monotonic()
+        return state.position if now - state.placed_at <= PLACED else None, state.velocity
+
+    def _is_followed(self) -> bool:
+        """Whether the moving target is still to be sent: not when somebody else has it, or it is off."""
+        now = self._vehicle.clock.monotonic()
+        return self._state.armed and (self._left_at is None or now - self._left_at < LEFT)
+
+    @property
+    def _is_in_guided(self) -> bool:
+        return self._state.mode == self._vehicle.profile.guided
+
+    def _on_mode(self, _: object) -> None:
+        """Note when it leaves OFFBOARD, once it was in it."""
+        if self._state.profile is None or self.stream.trajectory is None:
+            return
+        if self._is_in_guided:
+            self._left_at, self._was_in_guided = None, True
+        elif self._was_in_guided and self._left_at is None:
+            self._left_at = self._vehicle.clock.monotonic()
 
     async def travel(
         self,
@@ -219,6 +276,17 @@ class Motion:
 
         Raises DeviceError.
         """
+        try:
+            await self._travel(what, order, distance, near, patience)
+        except BaseException:
+            # Failed or called off: nobody waits for it any more.
+            if order.trajectory is not None and self.stream.trajectory is order.trajectory:
+                self.brake()
+            raise
+
+    async def _travel(
+        self, what: str, order: Order, distance: Callable[[Vector], float], near: float, patience: Patience
+    ) -> None:
         vehicle = self._vehicle
         start = vehicle.clock.monotonic()
         progress, sent_at, asked = Progress(patience, start, self._state.position), -math.inf, False
@@ -230,9 +298,9 @@ class Motion:
             if left <= near:
                 return
             await self._check_underway(what, order, start)
-            if progress.is_over(left, self.moves, now, self._told, place):
+            if progress.is_over(left, self.moves, now, self.speed.of_motion, place):
                 await self._give_up(order)
-                seconds = patience.bound(self.moves, self._told)
+                seconds = patience.bound(self.moves, self.speed.of_motion)
                 words = patience.words.format(seconds=seconds, left=left, room=patience.room)
                 fence = await self.fence.perhaps() if order.goal is not None else ""
                 raise vehicle.error(f"{what} gave up: {words}{fence}")
@@ -240,7 +308,7 @@ class Motion:
                 asked = True
                 await self._check_fence(what, order)
             if order.target is not None and place is not None and now - sent_at >= order.period:
-                vehicle.send(self.setpoint(order.target(place)))
+                self.send(order.target(place))
                 sent_at = now
             await vehicle.next_news(min(0.25, order.period))
 
@@ -252,7 +320,9 @@ class Motion:
     @property
     def moves(self) -> bool:
         """Whether it moves over ground or up and down, as far as it tells."""
-        least = MOVES if self._told is None else max(min(MOVES, SHARE * self._told), NOISE)
+        least = (
+            MOVES if self.speed.of_motion is None else max(min(MOVES, SHARE * self.speed.of_motion), NOISE)
+        )
         return self._state.speeds is not None and math.hypot(*self._state.speeds) > least
 
     def _is_refused(self, order: Order, progress: Progress, now: float) -> bool:
@@ -276,30 +346,17 @@ class Motion:
             radius = await self._parameters.read("WP_RADIUS") or 0.0
         return Arrival(radius, lambda: self.moves, self._vehicle.clock.monotonic)
 
-    def setpoint(self, target: Target) -> Any:
-        """The message of a setpoint, in the autopilot's local frame."""
-        self._steady = self._steady and target.mask == ONLY_POSITION
-        place = (g + h for g, h in zip(target.place, self._state.home_offset, strict=True))
-        frame, acceleration = dialect.MAV_FRAME_LOCAL_NED, (0.0, 0.0, 0.0)
-        return dialect.MAVLink_set_position_target_local_ned_message(
-            0,
-            self._vehicle.system,
-            AUTOPILOT,
-            frame,
-            target.mask,
-            *place,
-            *target.velocity,
-            *acceleration,
-            target.yaw,
-            target.yaw_rate,
-        )
+    def send(self, target: Target) -> None:
+        """Send a setpoint, in the autopilot's local frame."""
+        self.speed.sent(target)
+        self._vehicle.send(target.message(self._vehicle.system, self._state.home_offset))
 
     async def _give_up(self, order: Order) -> None:
         """Have the autopilot give up too, or the goal would be followed on when what is in its way has gone.
 
         A landing or a return goes on: there is nothing safer to do instead.
         """
-        if order.command is not None or order.target is not None:
+        if order.leads:
             with suppress(DeviceError):
                 await self.hold()
 
@@ -311,7 +368,7 @@ class Motion:
         if self._stopped:
             raise self._vehicle.error(f"{what} was stopped, since {self._stopped}")
         state = self._state
-        taken = self.failsafe.has_it and (order.command is not None or order.target is not None)
+        taken = self.failsafe.has_it and order.leads
         if state.armed and state.mode in order.modes and not taken:
             return
         await self.failsafe.explains()
@@ -319,82 +376,11 @@ class Motion:
         why = f"the vehicle went to {state.mode}{chosen}" if state.armed else "the motors are off"
         raise self._vehicle.error(f"{what} ended early: {why}{self._vehicle.reasons(start)}")
 
-    # -- speed ----------------------------------------------------------------------------------------
-
-    @property
-    def wanted_speed(self) -> float | None:
-        """What was asked for last, else the limit of the binding, else the autopilot's own."""
-        return self._speed or self._vehicle.binding.limits.get("speed")
-
-    @property
-    def _told(self) -> float | None:
-        """The speed of this motion, where it has one that is known."""
-        return self._pace or self.wanted_speed
-
-    async def set_speed(self, speed: float) -> None:
-        """The speed over ground for this motion and those that follow. Raises DeviceError."""
-        if self._takes_speed:
-            await self._change_speed(speed)
-            self._pace = speed
-        self._speed = speed
-
-    async def keep_speed(self) -> None:
-        """Have the autopilot keep the wanted speed in what it flies by itself. Raises DeviceError."""
-        if self.wanted_speed is not None:
-            await self._change_speed(self.wanted_speed)
+    # -- limits ---------------------------------------------------------------------------------------
 
     async def slow_down(self, speed: float, why: str) -> None:
         """Have it fly slower, or, where setpoints say how fast, hold. Raises DeviceError."""
-        if self._in_guided and not self._steady:
-            await self.halt(why)
+        if self.speed.can_slow_down:
+            await self.speed.slow_down(speed)
         else:
-            self._slowed += 1
-            await self._change_speed(speed)
-
-    @property
-    def faster(self) -> float | None:
-        """What it may be told again after it was told to be slower, once in a motion; else None."""
-        return self._told if self._slowed == 1 else None
-
-    async def speed_up(self, speed: float) -> None:
-        """Tell it a speed again after it was told to be slower. Raises DeviceError."""
-        await self._change_speed(speed)
-
-    @property
-    def was_slowed(self) -> bool:
-        """Whether it was told to be slower in this motion already."""
-        return self._slowed > 0
-
-    @property
-    def _takes_speed(self) -> bool:
-        """Whether a speed that is told now is kept: ArduPilot needs something that it is kept for.
-
-        A rover refuses it otherwise, and a copter forgets it.
-        """
-        return self._vehicle.profile.px4 or self._steady or self._state.mode == self._vehicle.profile.mission
-
-    async def _keep_pace(self, speed: float) -> None:
-        """Have control of a position begin where it is, with its own speed, and then tell it the wanted one.
-
-        So it never flies faster, also when the answer takes its time. While it runs it keeps what it is told.
-        """
-        for _ in range(0 if self._steady else STAYS):
-            place = self._state.position
-            assert place is not None, "the caller has looked"
-            self._vehicle.send(self.setpoint(Target(ONLY_POSITION, place)))
-            await asyncio.sleep(BEGINS)
-        await self._change_speed(speed)
-        self._steady = True
-
-    def _on_heartbeat(self, _: object) -> None:
-        """In another mode, or with its motors off, it forgets its speed."""
-        if self._state.profile is not None and not (self._state.armed and self._in_guided):
-            self._steady = False
-
-    @property
-    def _in_guided(self) -> bool:
-        return self._state.mode == self._vehicle.profile.guided
-
-    async def _change_speed(self, speed: float) -> None:
-        told = self.orders.told_speed(self._state, speed)
-        await self._vehicle.command("speed", dialect.MAV_CMD_DO_CHANGE_SPEED, 1.0, told, -1.0)
+            await self.halt(why)

@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable
 
 from lfield_mavlink.geo import Vector
-from lfield_mavlink.parts.orders import Circle, Patience
+from lfield_mavlink.setpoints.orders import Circle, Patience
 
 #: Seconds that a rover stands until it is known to have stopped, and metres by which it may stop early.
 STOPPED, EARLY = 1.0, 0.3

@@ -120,7 +120,7 @@ class Rest:
         if self._is_a_pilots:
             return [f"{'flown' if profile.flies else 'steered'} by a pilot in {state.mode}", *words]
         # PX4 leaves its landing when it switches its motors off, and tells that first.
-        over = self._standing and state.mode in profile.own
+        over = self._standing and state.mode in (profile.guided, *profile.own)
         if state.mode != profile.safe(self._vehicle.safe_state) and not over:
             words.append(f"in {state.mode}")
         return words

@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from lfield.journal.pages import CopyPage, Fence, Page
@@ -45,18 +46,19 @@ ENOUGH = 3
 
 @dataclass(slots=True, eq=False)
 class _Seen:
-    """One start of a coordinator: when it was first seen, who may have it, and who can run it."""
+    """One start of a coordinator: when it was first seen, who may have it, can run it, and ever had it.
+
+    `copy` is the last one that was in a machine.
+    """
 
     first: float
     holders: set[Life] = field(default_factory=set)
     running: set[Life] = field(default_factory=set)
-    #: Who has ever had it.
     knew: set[Life] = field(default_factory=set)
     #: The hosts that may have it, each with the memory that would tell; that to which it has come, until it
     #: is seen on the disk there.
     places: dict[str, int] = field(default_factory=dict)
     unsaved: str = ""
-    #: Its last copy that was in a machine.
     copy: Agent | None = None
 
     @property
@@ -75,27 +77,23 @@ class Judge:
         self.fleet: Fleet
         self.breaches = Breaches(lambda: self.fleet.now)
         self._breach = self.breaches.add
+        self._starts: dict[Start, _Seen] = {}
         self._calls = Calls(self.breaches, lambda agent: self._newest_at(agent, math.inf))
         self._blocks = Blocks(self.breaches, lambda: self.fleet.now, self._newest_at, self._on_disk)
         self._results = Results(self.breaches, self._home)
-        self.reserved = Reserved(
-            self.breaches,
-            lambda: self.fleet.now,
-            lambda: self.fleet.mission.bindings.reservations.lease,
-            self._newest_at,
-            self._on_disk,
-        )
+        lease: Callable[[], float] = lambda: self.fleet.mission.bindings.reservations.lease
+        watched = (self._newest_at, self._on_disk)
+        self.reserved = Reserved(self.breaches, lambda: self.fleet.now, lease, *watched)
         self.orders = Orders(self.breaches, lambda: self.fleet.now, lambda: self.fleet.keeps)
         self.told = self._blocks.told
         self._devices = Devices(self.breaches, self._made_for, self._newest_at, self.reserved.commanded)
-        self._terminated = Terminated(self.breaches, lambda: self.fleet, self._latest_below)
+        self._terminated = Terminated(self.breaches, lambda: self.fleet, self._starts.keys())
         self.given, self.dropped = self.reserved.given, self.reserved.dropped
         self.asked, self.renewed = self.reserved.asked, self.reserved.renewed
         #: How much was seen: a judge who sees nothing finds nothing.
         self.seen = dict.fromkeys(("injections", "starts", "recoveries"), 0)
         #: When which recovery of each agent was the first to go on.
         self._gone_on: defaultdict[str, dict[int, float]] = defaultdict(dict)
-        self._starts: dict[Start, _Seen] = {}
         self._newest: dict[str, int] = {}
         #: The starts whose number was given twice, by a host that had lost its disk.
         self._void: set[Start] = set()
@@ -135,10 +133,6 @@ class Judge:
     def _newest_at(self, agent: str, when: float) -> int:
         """The last recovery of an agent that had gone on at that time, 0 for none."""
         return max((start for start, at in self._gone_on[agent].items() if at < when), default=0)
-
-    def _latest_below(self, agent: str, generation: int) -> int:
-        """The last start of an agent before that one, 0 for none."""
-        return max((s for name, s in self._starts if name == agent and s < generation), default=0)
 
     # --- what is seen: copies ---------------------------------------------------------------------------
 

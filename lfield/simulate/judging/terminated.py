@@ -10,7 +10,7 @@ lease, since a host without a fresh lease carries none out.
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Collection, Iterable
 from typing import Any
 
 from lfield.journal.pages import CopyPage
@@ -30,9 +30,9 @@ class Terminated:
     """The terminations of a team. `latest` gives the last start of an agent before a generation."""
 
     def __init__(
-        self, breaches: Breaches, fleet: Callable[[], Fleet], latest: Callable[[str, int], int]
+        self, breaches: Breaches, fleet: Callable[[], Fleet], starts: Collection[tuple[str, int]]
     ) -> None:
-        self._breaches, self._fleet, self._latest = breaches, fleet, latest
+        self._breaches, self._fleet, self._starts = breaches, fleet, starts
         #: The newest start of each agent whose termination is final, and since when.
         self._final: dict[str, tuple[int, float]] = {}
         #: The newest start of each agent of whose termination each life has received a message.
@@ -120,7 +120,8 @@ class Terminated:
 
     def _on_recovery(self, life: Life, agent: str, generation: int, *, by_operator: bool) -> None:
         self.look()
-        latest, host = self._latest(agent, generation), (life.core.name,)
+        earlier = (start for name, start in self._starts if name == agent and start < generation)
+        latest, host = max(earlier, default=0), (life.core.name,)
         final, since = self._final.get(agent, (0, 0.0))
         known = self._fleet().mission.recovery.lease if by_operator else 0.0
         if final >= latest > 0 and self._fleet().now - since >= known:

@@ -8,11 +8,11 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 
+from lfield_sim.autopilot.body.goals import Descend, Fall, Reach, Rest
 from lfield_sim.autopilot.flavours import Role
 from lfield_sim.autopilot.lifting import AT_HEIGHT, AT_HOME, begin_takeoff
 from lfield_sim.autopilot.missions import fly_mission
 from lfield_sim.autopilot.pilot import Pilot
-from lfield_sim.autopilot.vehicle import Descend, Fall, Reach, Rest
 
 #: Metres from a goal within which a rover has reached it.
 AT_GOAL = 0.3

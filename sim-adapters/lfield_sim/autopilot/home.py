@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from random import Random
 
-from lfield_sim.autopilot.vehicle import ZERO, Vector
+from lfield_sim.autopilot.body.goals import ZERO, Vector
 
 #: Metres that a height may be wrong by, how much of an error is left after a step, and how it is renewed.
 WORST, LEFT, RENEWED = 1.45, 0.7, 0.6

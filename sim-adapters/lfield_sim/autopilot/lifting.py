@@ -9,9 +9,9 @@ from __future__ import annotations
 import math
 from enum import IntEnum
 
+from lfield_sim.autopilot.body.goals import Descend, Reach, Rest, Rise
 from lfield_sim.autopilot.flavours import Role
 from lfield_sim.autopilot.pilot import Pilot
-from lfield_sim.autopilot.vehicle import Descend, Reach, Rest, Rise
 
 #: Metres within which a height is reached; what an ArduCopter has risen by until it says so.
 AT_HEIGHT, LIFTED = 0.3, 0.2

@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+from lfield_sim.autopilot.body.goals import Circle, Descend, Reach, Vector
 from lfield_sim.autopilot.flavours import Role
 from lfield_sim.autopilot.lifting import AT_HEIGHT, begin_takeoff
 from lfield_sim.autopilot.pilot import Pilot
 from lfield_sim.autopilot.plans import MissionItem
-from lfield_sim.autopilot.vehicle import Circle, Descend, Reach, Vector
 
 # MAV_CMDs of mission items that are flown; others are done at once.
 WAYPOINT, LOITER, LOITER_TURNS, LOITER_TIME, RETURN, LAND, TAKEOFF = 16, 17, 18, 19, 20, 21, 22

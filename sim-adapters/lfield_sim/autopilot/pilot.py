@@ -7,24 +7,13 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from random import Random
 
+from lfield_sim.autopilot.body.goals import ZERO, Circle, Descend, Fall, Goal, Keep, Lean, Rest, Sink, Vector
 from lfield_sim.autopilot.equipment import Battery, Payload
 from lfield_sim.autopilot.flavours import Flavour, Kind, Pace, Result, Role
 from lfield_sim.autopilot.ground import GroundVehicle
 from lfield_sim.autopilot.home import Home
 from lfield_sim.autopilot.plans import BOUNDARY, CEILING, NO_BREACH, Fence, Mission, MissionItem, NoFence
-from lfield_sim.autopilot.vehicle import (
-    ZERO,
-    Circle,
-    Descend,
-    Fall,
-    Goal,
-    Keep,
-    Lean,
-    Rest,
-    Sink,
-    Vector,
-    Vehicle,
-)
+from lfield_sim.autopilot.vehicle import Vehicle
 from lfield_sim.state_log import Facts
 
 #: Seconds that a restart takes.
@@ -43,8 +32,8 @@ KEPT_TEXTS = 100
 class Pilot:
     """What is so, and what becomes of it when a mode is entered; it takes no commands (`Autopilot` does).
 
-    Faults: `refuse_arming` is a reason to refuse every arming, or ''; `gps_lost`, `motor_failed`; `warm_up`
-    are the seconds after a start in which it is not healthy yet.
+    Faults: `refuse_arming` is a reason to refuse every arming, or ''; `gps_lost`, `motor_failed`; `sticks` is
+    a pilot who moves them; `warm_up` are the seconds after a start in which it is not healthy yet.
 
     altitude             of the local frame's origin above mean sea level, m
     setpoint_at          when the last setpoint came; stream_at the first of those without a pause
@@ -69,6 +58,7 @@ class Pilot:
     refuse_arming: str = ""
     gps_lost: bool = False
     motor_failed: bool = False
+    sticks: bool = False
     warm_up: float = 0.0
     parameters: dict[str, float] = field(init=False)
     vehicle: Vehicle = field(init=False)

@@ -8,7 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Protocol
 
-from lfield_sim.autopilot.vehicle import Vector
+from lfield_sim.autopilot.body.goals import Vector
 
 #: Of a mission none of whose items was reached yet.
 NO_ITEM = 65535

@@ -9,6 +9,21 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 
+from lfield_sim.autopilot.body.goals import (
+    ZERO,
+    Circle,
+    Descend,
+    Fall,
+    Goal,
+    Keep,
+    Lean,
+    Reach,
+    Rest,
+    Rise,
+    Sink,
+    Track,
+    Vector,
+)
 from lfield_sim.autopilot.wind import GRAVITY, Wind
 
 #: What counts as in the air, in metres.
@@ -17,11 +32,10 @@ AIRBORNE = 0.05
 NEAR = 3.0
 #: m/s2 that are left when it eases to a stop.
 STILL = 0.05
+#: Per second: how fast PX4 flies for each metre to a setpoint (MPC_XY_P, MPC_Z_P).
+LEVEL_GAIN, HEIGHT_GAIN = 0.95, 1.0
 #: How fast a copter comes down with its throttle down, in m/s.
 SINK = 2.5
-
-Vector = tuple[float, float, float]
-ZERO: Vector = (0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,13 +56,14 @@ class Limits:
 
     `cruise` bounds the way to a place, `top` everything over ground; `braking` is how hard it slows down
     before a place. `eases` are the seconds in which a copter takes two thirds of what it still lacks of a
-    velocity, or loses two thirds of its speed where it holds.
-    `spool` are the seconds that motors need before they lift it, `awake` those from arming,
-    `lift` is how it leaves the ground (m/s2), `takeoff` how fast it climbs then. `nose_follows` turns the
-    nose along a velocity. `overshoot` is by how much (m/s) a rover shoots over a velocity before it settles
-    there; `rolls_out` is the share of its speed that it loses in a second when nothing drives it, 0 for one
-    that stands at once. What is flown is never quite what was asked: `goal_response` and
-    `velocity_response` say how a speed asked for comes out, for places and velocities.
+    velocity, or loses two thirds of its speed where it holds. `spool` are the seconds that motors need
+    before they lift it, `awake` those from arming, `lift` is how it leaves the ground (m/s2), `takeoff`
+    how fast it climbs then. `nose_follows` turns the nose along a velocity. `overshoot` is by how much
+    (m/s) a rover shoots over a velocity before it settles there; over its speed to a place it does so by
+    `overshoot_share` (s/m) of the square of that while it `shoots_over`; `rolls_out` is the share of its
+    speed that it loses in a second when nothing drives it, 0 for one that stands at once. What is flown
+    is never quite what was asked: `goal_response` and `velocity_response` say how a speed asked for comes
+    out, for places and velocities.
     """
 
     cruise: float = 5.0
@@ -69,66 +84,11 @@ class Limits:
     nose_follows: bool = True
     eases: float = 0.0
     overshoot: float = 0.0
+    overshoot_share: float = 0.0
+    shoots_over: bool = False
     rolls_out: float = 0.0
     goal_response: Response = Response()
     velocity_response: Response = Response()
-
-
-@dataclass(frozen=True, slots=True)
-class Rest:
-    """Goal: stay where you are; the last of the speed goes as `Limits.eases` says, with 0 it brakes on."""
-
-    eases: float = 0.0
-
-
-@dataclass(frozen=True, slots=True)
-class Reach:
-    """Goal: go to a place and stay there."""
-
-    place: Vector
-
-
-@dataclass(frozen=True, slots=True)
-class Keep:
-    """Goal: keep a velocity."""
-
-    velocity: Vector
-
-
-@dataclass(frozen=True, slots=True)
-class Circle:
-    """Goal: fly round a place at a distance in m with a speed in m/s, clockwise when it is positive."""
-
-    centre: Vector
-    radius: float
-    speed: float
-
-
-@dataclass(frozen=True, slots=True)
-class Lean:
-    """Goal: keep an acceleration north and east in m/s2, and a speed downwards."""
-
-    north: float
-    east: float
-    down: float
-
-
-@dataclass(frozen=True, slots=True)
-class Descend:
-    """Goal: straight down to the ground."""
-
-
-@dataclass(frozen=True, slots=True)
-class Rise:
-    """Goal: straight up to a height, no faster than a speed in m/s."""
-
-    down: float
-    speed: float
-
-
-@dataclass(frozen=True, slots=True)
-class Sink:
-    """Goal: come down as with the throttle down, to the ground and hard."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,19 +98,6 @@ class Corral:
     north: float
     east: float
     radius: float
-
-
-@dataclass(frozen=True, slots=True)
-class Fall:
-    """Goal of a copter without motors."""
-
-
-@dataclass(frozen=True, slots=True)
-class Roll:
-    """Goal of a rover that nothing drives: it rolls out."""
-
-
-Goal = Rest | Reach | Keep | Circle | Lean | Rise | Descend | Sink | Fall | Roll
 
 
 @dataclass(slots=True)
@@ -238,6 +185,8 @@ class Vehicle:
         match self.goal:
             case Reach(place):
                 return self._approach(place)
+            case Track(place, velocity):
+                return self._tracked(place, velocity)
             case Keep(velocity):
                 return self._bounded(velocity)
             case Circle(centre, radius, speed):
@@ -281,6 +230,8 @@ class Vehicle:
         """How hard it may be sped up or slowed down over ground now."""
         if isinstance(self.goal, Lean):
             return math.hypot(self.goal.north, self.goal.east)
+        if isinstance(self.goal, Track):
+            return GRAVITY * math.tan(self.limits.tilt)
         goal, along = self.goal, sum(m * v for m, v in zip(missing, self.velocity, strict=False))
         gains = isinstance(goal, Keep) and along >= 0.0
         eases = goal.eases if isinstance(goal, Rest) else self.limits.eases * gains
@@ -321,6 +272,14 @@ class Vehicle:
         fastest = limits.descend if down > 0 else limits.climb
         vertical = math.copysign(_braking(abs(down), fastest, limits.vertical_acceleration), down)
         return (north * share, east * share, vertical)
+
+    def _tracked(self, place: Vector, velocity: Vector) -> Vector:
+        """As PX4's position control: no faster than it may fly, and as fast as that for a far place."""
+        gains = (LEVEL_GAIN, LEVEL_GAIN, HEIGHT_GAIN)
+        way = zip(_minus(place, self.place), velocity, gains, strict=True)
+        north, east, down = (gain * error + ahead for error, ahead, gain in way)
+        slowly = max(down, -self.limits.takeoff) if self.lifting else down
+        return self._bounded((north, east, slowly))
 
     def _around(self, centre: Vector, radius: float, speed: float) -> Vector:
         """Along the circle, and towards it from where it is not."""

@@ -6,8 +6,8 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
+from lfield_sim.autopilot.body.goals import Vector
 from lfield_sim.autopilot.flavours import Result
-from lfield_sim.autopilot.vehicle import Vector
 from lfield_sim.mavlink.geo import ABOVE_HOME, Place, is_near
 
 #: What an integer coordinate is when it means nothing.

@@ -7,8 +7,8 @@ from collections.abc import Callable, Mapping
 
 from pymavlink.dialects.v20 import all as dialect
 
+from lfield_sim.autopilot.body.goals import Circle, Vector
 from lfield_sim.autopilot.flavours import Result, Role
-from lfield_sim.autopilot.vehicle import Circle, Vector
 from lfield_sim.mavlink.command import Answer, Command
 from lfield_sim.mavlink.sender import Sender
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 
-from lfield_sim.autopilot.vehicle import Vector
+from lfield_sim.autopilot.body.goals import Vector
 
 EARTH_RADIUS = 6378137.0
 #: Of the sphere on which PX4 counts, as recorded (px4-copter.e-gcs-loss); ArduPilot's is within 40 m of ours.

@@ -10,9 +10,9 @@ from typing import Any
 from pymavlink.dialects.v20 import all as dialect
 
 from lfield_sim.autopilot.autopilot import Autopilot
+from lfield_sim.autopilot.body.goals import Vector
 from lfield_sim.autopilot.flavours import Result
 from lfield_sim.autopilot.stacks.severities import severity_of
-from lfield_sim.autopilot.vehicle import Vector
 from lfield_sim.autopilot.watch.readiness import has_home, has_origin, has_position
 from lfield_sim.mavlink.geo import Place
 from lfield_sim.mavlink.services.service import Service

@@ -9,8 +9,8 @@ import math
 from typing import Any
 
 from lfield_sim.autopilot.autopilot import Autopilot, Setpoint
+from lfield_sim.autopilot.body.goals import ZERO, Goal, Keep, Lean, Reach, Track, Vector
 from lfield_sim.autopilot.flavours import Control
-from lfield_sim.autopilot.vehicle import Goal, Keep, Lean, Reach, Vector
 from lfield_sim.autopilot.wind import GRAVITY
 from lfield_sim.mavlink.geo import ABOVE_HOME, Place, angles, is_near, turned
 
@@ -38,7 +38,7 @@ def local_target(pilot: Autopilot, message: Any) -> Setpoint | None:
         place, velocity, lean = (turned(each, vehicle.yaw) for each in (place, velocity, lean))
     if frame != LOCAL:
         place = (place[0] + vehicle.place[0], place[1] + vehicle.place[1], place[2] + vehicle.place[2])
-    return _setpoint(message, place, velocity, lean)
+    return _setpoint(pilot, message, place, velocity, lean)
 
 
 def global_target(pilot: Autopilot, origin: Place, message: Any) -> Setpoint | None:
@@ -47,7 +47,7 @@ def global_target(pilot: Autopilot, origin: Place, message: Any) -> Setpoint | N
     top = pilot.home[2] if message.coordinate_frame in ABOVE_HOME else origin.altitude
     velocity = (message.vx, message.vy, message.vz)
     lean = (message.afx, message.afy, 0.0)
-    return _setpoint(message, (north, east, top - message.alt), velocity, lean)
+    return _setpoint(pilot, message, (north, east, top - message.alt), velocity, lean)
 
 
 def attitude_target(message: Any) -> Setpoint | None:
@@ -67,12 +67,14 @@ def attitude_target(message: Any) -> Setpoint | None:
     return Setpoint(goal, yaw, rate)
 
 
-def _setpoint(message: Any, place: Vector, velocity: Vector, lean: Vector) -> Setpoint | None:
+def _setpoint(
+    pilot: Autopilot, message: Any, place: Vector, velocity: Vector, lean: Vector
+) -> Setpoint | None:
     mask = message.type_mask
     goal: Goal | None = None
     control = Control.VELOCITY
     if not mask & IGNORE_POSITION:
-        goal = Reach(place) if is_near(place) else None
+        goal = _place(pilot, place, ZERO if mask & IGNORE_VELOCITY else velocity)
         control = Control.PLACE if mask & IGNORE_VELOCITY else Control.BOTH
     elif not mask & IGNORE_VELOCITY:
         goal = Keep(velocity) if is_near(velocity) else None
@@ -83,6 +85,13 @@ def _setpoint(message: Any, place: Vector, velocity: Vector, lean: Vector) -> Se
     # A heading goes before a rate when both are given.
     setpoint = Setpoint(goal, yaw, None if yaw is not None else rate, control)
     return None if setpoint == Setpoint() else setpoint
+
+
+def _place(pilot: Autopilot, place: Vector, velocity: Vector) -> Goal | None:
+    """A place as a goal: a copter with PX4 follows it, and shapes nothing."""
+    if not (is_near(place) and is_near(velocity)):
+        return None
+    return Track(place, velocity) if pilot.flavour.needs_stream and pilot.flies else Reach(place)
 
 
 def _lean(angle: float) -> float:

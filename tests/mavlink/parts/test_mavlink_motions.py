@@ -10,11 +10,11 @@ import pytest
 
 from lfield.errors import DeviceError
 from lfield_mavlink.contact.state import VehicleState
-from lfield_mavlink.parts.orders import Circle, Patience
 from lfield_mavlink.parts.progress import Arrival, Following, Progress, Turning, WayBack
+from lfield_mavlink.setpoints.orders import Circle, Patience
 from lfield_sim.autopilot.autopilot import Autopilot
+from lfield_sim.autopilot.body.goals import Reach
 from lfield_sim.autopilot.ground import Wheels
-from lfield_sim.autopilot.vehicle import Reach
 
 
 async def up(fc, height=5.0):
@@ -285,17 +285,9 @@ def test_a_velocity_of_nothing_is_followed_by_what_stands():
     assert slow.count(True) == 1
 
 
-def test_px4s_fence_is_named_as_soon_as_it_says_so(bench, monkeypatch):
-    b, reposition = bench(flavour="px4"), Autopilot.reposition
+def test_a_goal_beyond_px4s_fence_is_refused_before_it_sets_out(bench):
+    b = bench(flavour="px4")
     b.autopilot.parameters.update(GF_ACTION=2, GF_MAX_HOR_DIST=30)
-
-    def guarded(self, place, yaw, **given):
-        if not self.fence_at(place)[0]:
-            return reposition(self, place, yaw, **given)
-        self.say("Reposition is outside geofence")
-        return 0
-
-    monkeypatch.setattr(Autopilot, "reposition", guarded)
 
     async def mission(fc):
         await up(fc)
@@ -303,11 +295,13 @@ def test_px4s_fence_is_named_as_soon_as_it_says_so(bench, monkeypatch):
         with pytest.raises(DeviceError) as raised:
             await fc.execute("goTo", [60.0, 0.0, -5.0])
         assert asyncio.get_running_loop().time() - start < 1.0
+        await asyncio.sleep(2.0)
+        assert b.autopilot.vehicle.place[0] == pytest.approx(0.0, abs=0.1)
         return raised.value.reason
 
     reason = b.run(mission)
     assert reason.startswith("goTo refused: the goal is 60.0 m from home, and its own fence GF_MAX_HOR_DIST")
-    assert reason.endswith("ends at 30 m, Reposition is outside geofence")
+    assert reason.endswith("ends at 30 m")
 
 
 # -- a landing ----------------------------------------------------------------------------------------

@@ -19,23 +19,26 @@ from lfield_mavlink.link.dialect import dialect
 from lfield_mavlink.modes import ARDUPILOT, PROFILES, PX4
 from lfield_mavlink.parts.fences import Fences, Rally
 from lfield_mavlink.parts.motion import Motion
-from lfield_mavlink.parts.orders import Circle
 from lfield_mavlink.parts.payload import Payload
 from lfield_mavlink.parts.storage import MAX_TEXT, Files, Settings
 from lfield_mavlink.parts.upkeep import Upkeep
 from lfield_mavlink.services.plan_items import Item, PlanKind
+from lfield_mavlink.setpoints.orders import Circle
 from lfield_mavlink.watchdog import Watchdog
 
 
 def binding(**limits: float) -> DeviceBinding:
     return DeviceBinding(
         agent="a", field="fc", type="Mavlink", driver="mavlink", endpoint="x", safe_state="land",
-        ttl=1.0, limits=limits, options={"tolerance": 0.5},
+        ttl=1.0, limits=limits, options={"tolerance": 0.5, "system": 1, "station": 0},
     )  # fmt: skip
 
 
 class StandIn:
     """As much of a Contact as parts use; what is asked for is kept, and accepted unless it is `refused`."""
+
+    def take_charge(self) -> None:
+        """It is ours."""
 
     def __init__(self, autopilot: int = ARDUPILOT) -> None:
         self.clock, self.system, self.binding = ManualClock(), 1, binding()
@@ -188,7 +191,7 @@ def test_the_watchdog_tells_what_is_and_what_must_be():
     assert asyncio.run(watchdog.seconds(2.0)) == 2.0
     settings = asyncio.run(watchdog.settings())
     assert {s.name: (s.present, s.wanted) for s in settings} == {
-        "FS_GCS_ENABLE": (0, 5), "FS_GCS_TIMEOUT": (5, 2), "SYSID_MYGCS": (1, 255), "GUID_TIMEOUT": (3, 2),
+        "FS_GCS_ENABLE": (0, 5), "FS_GCS_TIMEOUT": (5, 2), "SYSID_MYGCS": (1, 128), "GUID_TIMEOUT": (3, 2),
         "FS_OPTIONS": (1, 9),
     }  # fmt: skip
     assert vehicle.values == {"gcsFailsafe": False}
@@ -241,13 +244,14 @@ def test_a_mode_that_was_not_entered_leaves_the_vehicle_ours():
 def test_the_wanted_speed_is_what_was_asked_for_last_else_the_limit():
     vehicle = StandIn(PX4)
     motion = Motion(vehicle, Parameters())
-    asyncio.run(motion.keep_speed())
+    asyncio.run(motion.speed.keep_wanted())
     assert vehicle.asked == []
     vehicle.binding = binding(speed=5.0)
-    assert motion.wanted_speed == 5.0
-    asyncio.run(motion.set_speed(2.0))
-    asyncio.run(motion.keep_speed())
-    assert vehicle.asked == [("speed", dialect.MAV_CMD_DO_CHANGE_SPEED, 1.0, 2.0, -1.0)] * 2
+    assert motion.speed.wanted == 5.0
+    asyncio.run(motion.speed.set(2.0))
+    assert vehicle.asked == [], "there is nothing yet that PX4 would keep it for"
+    asyncio.run(motion.speed.keep_wanted())
+    assert vehicle.asked == [("speed", dialect.MAV_CMD_DO_CHANGE_SPEED, 1.0, 2.0, -1.0)]
 
 
 def farthest(centre, radius):

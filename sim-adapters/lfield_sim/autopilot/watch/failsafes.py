@@ -39,12 +39,19 @@ class Failsafes:
         self._low: set[str] = set()
         self._blind: float = 0.0
         self._was_blind = False
+        self._stream_missed = False
         self.fences = Fences(pilot)
 
     def heartbeat(self, system: int, *, station: bool) -> None:
-        """A heartbeat of another system; ArduPilot counts one system's, PX4 every ground station's."""
+        """A heartbeat of another system; ArduPilot counts one system's, PX4 every ground station's.
+
+        The link that it came on does not matter to either.
+        """
         rule = self._rules.gcs
-        if not (system == int(self._pilot.value(rule.station)) if rule.station else station):
+        if rule.station:
+            first, last = (int(self._pilot.value(name)) for name in (rule.station, rule.stations_to))
+            station = first <= system <= max(first, last)
+        if not station:
             return
         self.gcs_seen = self._pilot.station_at = self._pilot.now
         if self.gcs_lost:
@@ -159,13 +166,14 @@ class Failsafes:
         """The setpoints end: ArduPilot stops a velocity, PX4 leaves the mode."""
         pilot = self._pilot
         if not self._is_guided() or not pilot.setpoints_over:
+            self._stream_missed = False
             return
         if not self._rules.needs_stream:
             if self._rules.setpoint_text:
                 pilot.say(self._rules.setpoint_text)
             pilot.stop_moving()
-        elif pilot.armed:
-            pilot.critical = True
+        elif pilot.armed and not self._stream_missed:
+            self._stream_missed = pilot.critical = True
             pilot.say(FAILSAFE)
             pilot.fall_back(SETPOINT_ACTIONS.get(int(pilot.value("COM_OBL_RC_ACT")), Role.RETURN))
 

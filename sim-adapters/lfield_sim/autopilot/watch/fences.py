@@ -7,10 +7,11 @@ flies through, and notices. The fence acts once for each breach.
 
 from __future__ import annotations
 
+from lfield_sim.autopilot.body.goals import Reach, Vector
 from lfield_sim.autopilot.flavours import Role
 from lfield_sim.autopilot.pilot import Pilot
 from lfield_sim.autopilot.plans import NO_BREACH
-from lfield_sim.autopilot.vehicle import Corral, Reach, Vector
+from lfield_sim.autopilot.vehicle import Corral
 
 #: Seconds from crossing the edge until it is noticed, and from then until something is done about it.
 NOTICED, ACTED = 0.1, 0.04

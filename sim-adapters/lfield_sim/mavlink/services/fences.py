@@ -10,8 +10,8 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
+from lfield_sim.autopilot.body.goals import Vector
 from lfield_sim.autopilot.plans import BOUNDARY, NO_BREACH
-from lfield_sim.autopilot.vehicle import Vector
 from lfield_sim.mavlink.geo import Place
 from lfield_sim.mavlink.services.plan_items import CIRCLE_IN, CIRCLES, POLYGON_IN, POLYGONS, Item
 

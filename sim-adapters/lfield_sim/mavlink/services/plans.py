@@ -7,10 +7,10 @@ from typing import Any
 from pymavlink.dialects.v20 import all as dialect
 
 from lfield_sim.autopilot.autopilot import Autopilot
+from lfield_sim.autopilot.body.goals import Vector
 from lfield_sim.autopilot.flavours import Result, Role
 from lfield_sim.autopilot.missions import tell_begun
 from lfield_sim.autopilot.plans import NO_ITEM, MissionItem
-from lfield_sim.autopilot.vehicle import Vector
 from lfield_sim.mavlink.command import Answer, Command
 from lfield_sim.mavlink.geo import Place, is_near
 from lfield_sim.mavlink.services.fences import Fence, shapes_of

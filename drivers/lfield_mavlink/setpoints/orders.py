@@ -1,31 +1,32 @@
 """What each autopilot must be sent for a motion, as data. Pure: a state and a goal in, an order out.
 
-ArduPilot takes setpoints in its mode GUIDED and keeps the last one of a position. PX4 takes a DO_REPOSITION
-for that and does it by itself; its setpoint mode OFFBOARD is only for velocities, since it must be fed.
+ArduPilot takes setpoints in its mode GUIDED and keeps the last one of a position: its failsafe for the ground
+station ends a motion when this computer is gone. PX4 moves by a stream of setpoints in OFFBOARD, whose end it
+acts on whatever ground stations there are; a target that moves sets the speed. What it would fly by itself (a
+DO_REPOSITION, an orbit, a takeoff by its own modes) goes on as long as any ground station is heard, so only
+a fixed wing, for which nothing else is known to work, is commanded so.
 
-Their speeds differ, too. ArduPilot's control of a position begins with the autopilot's own speed, whatever
-was told before, and then keeps what it is told; PX4 is told with each goal.
+ArduPilot's control of a position begins with the autopilot's own speed, whatever was commanded before, and
+then keeps what it is commanded.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
 from lfield_mavlink.contact.state import VehicleState
 from lfield_mavlink.geo import Place, Vector
 from lfield_mavlink.link.dialect import dialect
-from lfield_mavlink.modes import ARDUPILOT, PX4
+from lfield_mavlink.modes import PX4, Profile
+from lfield_mavlink.setpoints.correction import SpeedCorrection
+from lfield_mavlink.setpoints.target import ONLY_POSITION, ONLY_VELOCITY, ONLY_YAW, Target
+from lfield_mavlink.setpoints.trajectory import LIFTS, Leg, Pursuit, Ring, Trajectory
 
-# type_mask of SET_POSITION_TARGET_LOCAL_NED: everything ignored but what the name says.
-ONLY_POSITION, ONLY_VELOCITY, VELOCITY_AND_YAW_RATE, ONLY_YAW = 0x0DF8, 0x0DC7, 0x05C7, 0x09FF
 #: MAV_DO_REPOSITION_FLAGS_CHANGE_MODE.
 _CHANGE_MODE = 1.0
-#: m/s by which PX4's rover drives faster than it is told, as recorded (1.5 for 1.0), and the least share of a
-#: speed that it is told because of that.
-_EXCESS, _LEAST_SHARE = 0.45, 0.5
 #: The share of a speed that is reckoned with, and how often it must have come closer by so much in a time
 #: until it is known that it does not.
 _SLOWEST, _CERTAIN = 0.5, 4.0
@@ -34,17 +35,11 @@ _AHEAD = 0.5
 #: How fast PX4's rover drives round to a heading, in m/s, and the seconds between its setpoints: without two
 #: in a second it would leave OFFBOARD.
 _ROUND, _FED = 1.5, 0.1
-
-
-@dataclass(frozen=True, slots=True)
-class Target:
-    """A setpoint in metres of home and m/s; `mask` says what counts."""
-
-    mask: int
-    place: Vector = (0.0, 0.0, 0.0)
-    velocity: Vector = (0.0, 0.0, 0.0)
-    yaw: float = 0.0
-    yaw_rate: float = 0.0
+#: m/s by which PX4's rover drives faster than it is commanded, as recorded (1.5 for 1.0), and the least share
+#: of a speed that it is commanded because of that.
+_EXCESS, _LEAST_SHARE = 0.45, 0.5
+#: m/s over ground where nothing else says a speed, for what hardly moves over ground.
+_SLOW = 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,18 +57,24 @@ class Order:
 
     First the mode is entered and the command is accepted; then the mode must be one of `modes`, and stays so
     until the motion is over. `target` gives the setpoint for the present position, to be sent every `period`
-    seconds; `speed` is the one over ground that it is flown with, where that is known: it is in the command,
-    or is told beside the setpoints. `goal` is the place that is farthest from home on the way, as far as it
-    is known.
+    seconds; or a `trajectory` is followed, also after the motion is over. `speed` is that over ground, where
+    it is known: it is in the command or the trajectory, or is commanded beside the setpoints. `goal` is the
+    place that is farthest from home on the way, as far as it is known.
     """
 
     modes: frozenset[str]
     mode: str = ""
     command: Command | None = None
     target: Callable[[Vector], Target] | None = None
+    trajectory: Trajectory | None = None
     period: float = 1.0
     speed: float | None = None
     goal: Vector | None = None
+
+    @property
+    def leads(self) -> bool:
+        """Whether it leads somewhere, and is not a landing or a return."""
+        return not (self.command is None and self.target is None and self.trajectory is None)
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,9 +135,6 @@ class Stack(Protocol):
     def orbit(self, state: VehicleState, circle: Circle) -> Order:
         """Around a place."""
 
-    def told_speed(self, state: VehicleState, speed: float) -> float:
-        """What it is to be told, so that it is not faster than `speed` over ground."""
-
 
 class ArduPilot:
     """Orders for ArduPilot: all in the mode GUIDED."""
@@ -175,13 +173,54 @@ class ArduPilot:
             self.guided, mode="GUIDED", target=ahead, period=0.2, speed=circle.speed, goal=circle.farthest
         )
 
-    def told_speed(self, state: VehicleState, speed: float) -> float:
-        """Just that."""
-        return speed
-
 
 class Px4:
-    """Orders for PX4: what it does by itself ends by itself, in AUTO.LOITER."""
+    """Orders for PX4's copters and rovers: setpoints in OFFBOARD."""
+
+    guided = frozenset({"OFFBOARD"})
+
+    def take_off(self, state: VehicleState, height: float) -> Order:
+        """A target that climbs from where it stands."""
+        north, east, _ = place = _known(state.position)
+        goal = (north, east, -height)
+        return Order(self.guided, trajectory=Leg(place, state.velocity, goal, _SLOW, climb=LIFTS))
+
+    def go_to(self, state: VehicleState, goal: Vector, speed: float | None) -> Order:
+        """A target on the straight way, with the heading as it is; a rover gets a velocity towards it."""
+        place, fast = _known(state.position), speed or _SLOW
+        trajectory: Trajectory = Leg(place, state.velocity, goal, fast)
+        if state.kind == "rover":
+            trajectory = Pursuit(goal, fast, rover_correction(fast))
+        return Order(self.guided, trajectory=trajectory, speed=fast, goal=goal)
+
+    def turn(self, state: VehicleState, heading: float, speed: float | None) -> Order:
+        """Where it is, with the heading in radians.
+
+        A rover takes no notice of that heading, as recorded: it is given a velocity there, which it turns to.
+        """
+        place, yaw = _known(state.position), math.remainder(heading, math.tau)
+        if state.kind == "rover":
+            fast = min(speed or _ROUND, _ROUND)
+            fast = rover_correction(fast).commanded(fast)
+            velocity = (fast * math.cos(heading), fast * math.sin(heading), 0.0)
+            return Order(self.guided, target=lambda _: Target(ONLY_VELOCITY, velocity=velocity), period=_FED)
+        return Order(self.guided, trajectory=Leg(place, state.velocity, place, speed or _SLOW, yaw=yaw))
+
+    def orbit(self, state: VehicleState, circle: Circle) -> Order:
+        """A target that runs round."""
+        ring = Ring(
+            _known(state.position),
+            state.velocity,
+            circle.centre,
+            circle.radius,
+            circle.speed,
+            clockwise=circle.clockwise,
+        )
+        return Order(self.guided, trajectory=ring, speed=circle.speed, goal=circle.farthest)
+
+
+class Px4Plane:
+    """Orders for PX4's fixed wings, which it flies by itself and ends by itself, in AUTO.LOITER."""
 
     hold = frozenset({"AUTO.LOITER"})
 
@@ -193,19 +232,11 @@ class Px4:
 
     def go_to(self, state: VehicleState, goal: Vector, speed: float | None) -> Order:
         """DO_REPOSITION, with the heading left as it is."""
-        return self._reposition(state, goal, None, speed)
+        return reposition(state, goal, speed)
 
     def turn(self, state: VehicleState, heading: float, speed: float | None) -> Order:
-        """DO_REPOSITION to where it is, with the heading in radians.
-
-        A rover takes no notice of that heading, as recorded: it is given a velocity there, which it turns to.
-        """
-        if state.kind == "rover":
-            told = self.told_speed(state, min(speed or _ROUND, _ROUND))
-            velocity = (told * math.cos(heading), told * math.sin(heading), 0.0)
-            target = Target(ONLY_VELOCITY, velocity=velocity)
-            return Order(frozenset({"OFFBOARD"}), target=lambda _: target, period=_FED)
-        return self._reposition(state, state.position, math.remainder(heading, math.tau), speed)
+        """DO_REPOSITION to where it is, with the heading in radians."""
+        return reposition(state, state.position, speed, math.remainder(heading, math.tau))
 
     def orbit(self, state: VehicleState, circle: Circle) -> Order:
         """DO_ORBIT; a negative radius is counter-clockwise."""
@@ -215,23 +246,34 @@ class Px4:
         modes = frozenset({"POSCTL.ORBIT"})
         return Order(modes, command=command, speed=circle.speed, goal=circle.farthest)
 
-    def told_speed(self, state: VehicleState, speed: float) -> float:
-        """Less for a rover, which drives faster than it is told."""
-        return max(speed - _EXCESS, speed * _LEAST_SHARE) if state.kind == "rover" else speed
 
-    def _reposition(
-        self, state: VehicleState, goal: Vector | None, yaw: float | None, speed: float | None
-    ) -> Order:
-        place, told = _global(state, goal), -1.0 if speed is None else self.told_speed(state, speed)
-        command = Command(dialect.MAV_CMD_DO_REPOSITION, (told, _CHANGE_MODE, 0.0, yaw), place)
-        return Order(self.hold, command=command, goal=goal)
+def reposition(
+    state: VehicleState, goal: Vector | None, speed: float | None, yaw: float | None = None
+) -> Order:
+    """DO_REPOSITION of PX4, which flies there by itself in its mode for staying, and stays."""
+    place, fast = _global(state, goal), -1.0 if speed is None else speed
+    command = Command(dialect.MAV_CMD_DO_REPOSITION, (fast, _CHANGE_MODE, 0.0, yaw), place)
+    return Order(frozenset({"AUTO.LOITER"}), command=command, goal=goal)
+
+
+def rover_correction(speed: float) -> SpeedCorrection:
+    """What PX4's rover is commanded at first of a speed in m/s."""
+    return SpeedCorrection(max(speed - _EXCESS, speed * _LEAST_SHARE) / speed)
 
 
 def _global(state: VehicleState, place: Vector | None) -> Place:
     """A place near home on the Earth."""
     assert state.home is not None, "the caller has looked"
+    return state.home.shifted(_known(place), state.radius)
+
+
+def _known(place: Vector | None) -> Vector:
     assert place is not None, "the caller has looked"
-    return state.home.shifted(place, state.radius)
+    return place
 
 
-ORDERS: Mapping[int, Stack] = {ARDUPILOT: ArduPilot(), PX4: Px4()}
+def orders_for(profile: Profile) -> Stack:
+    """The orders of a kind of vehicle under its autopilot."""
+    if profile.autopilot == PX4:
+        return Px4Plane() if profile.kind == "plane" else Px4()
+    return ArduPilot()

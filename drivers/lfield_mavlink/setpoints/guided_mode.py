@@ -1,0 +1,88 @@
+"""How the mode of setpoints is entered: GUIDED of ArduPilot, OFFBOARD of PX4."""
+
+from __future__ import annotations
+
+import math
+
+from lfield_mavlink.contact.contact import Contact
+from lfield_mavlink.link.dialect import dialect, result_words
+
+#: Seconds of setpoints that PX4 must have noticed before it is told to enter OFFBOARD.
+NOTICES = 0.15
+#: Seconds for an answer, and for the mode to show, before it is told again; and how often PX4 may refuse.
+SHOWN, REFUSALS = 0.05, 2
+#: Seconds after its acceptance, asked again meanwhile, after which it would have said that it does not.
+BELIEVED = 0.1
+
+
+class GuidedMode:
+    """The mode of setpoints of one vehicle."""
+
+    def __init__(self, vehicle: Contact) -> None:
+        self._vehicle, self._state = vehicle, vehicle.state
+
+    @property
+    def is_entered(self) -> bool:
+        """Whether the vehicle is in it, as far as it has told."""
+        return self._state.mode == self._vehicle.profile.guided
+
+    async def enter_guided(self, until: float) -> bool:
+        """ArduPilot has entered GUIDED when it acknowledges that: this counts, or its heartbeat, if sooner.
+
+        Any of these packets may be lost, so it is asked again soon. False when it refuses, or leaves all of
+        them without an answer until `until`: then it is to be asked as for any other mode, for the reason.
+        """
+        result = None
+        while result is None and not self.is_entered:
+            if self._vehicle.clock.monotonic() >= until:
+                break
+            result = await self._ask()
+        if result == dialect.MAV_RESULT_ACCEPTED:
+            self._state.enters(self._vehicle.profile.guided)
+        return self.is_entered
+
+    async def enter_offboard(self, what: str, until: float, within: str) -> None:
+        """PX4 enters OFFBOARD when it has noticed the setpoints, and shows it by CURRENT_MODE.
+
+        What it does not enter it accepts all the same, and says so in words at once. CURRENT_MODE comes when
+        the mode changes and then after half a second: when that packet was lost, no such words are enough.
+        `within` is the time until `until` in words. Raises DeviceError.
+        """
+        vehicle, guided = self._vehicle, self._vehicle.profile.guided
+        start, pause, refusals, accepted = vehicle.clock.monotonic(), NOTICES, 0, math.inf
+        while not await vehicle.seen(lambda: self.is_entered, pause):
+            asked = vehicle.clock.monotonic()
+            if asked >= min(accepted + BELIEVED, max(accepted, until)):
+                break
+            result = await self._ask_for_offboard(asked)
+            refused = vehicle.is_unavailable(guided, asked) or result not in (
+                None,
+                dialect.MAV_RESULT_ACCEPTED,
+            )
+            # The first time it may be that the setpoints were lost.
+            pause, refusals = (NOTICES, refusals + 1) if refused else (0.0, refusals)
+            if refused:
+                accepted = math.inf
+            elif result is not None:
+                accepted = min(accepted, vehicle.clock.monotonic())
+            over = vehicle.clock.monotonic() >= until and accepted == math.inf
+            if not self.is_entered and (over or refusals == REFUSALS):
+                vehicle.check_link()
+                why = "refused" if refused else f"not entered within {within}"
+                words = "no answer" if result is None else result_words(result)
+                raise vehicle.error(f"{what}: {guided} was {why}: {words}{vehicle.reasons(start)}")
+
+    async def _ask_for_offboard(self, asked: float) -> int | None:
+        """Tell PX4 once, and wait a moment for what becomes of it; the result of the command."""
+        vehicle, guided = self._vehicle, self._vehicle.profile.guided
+        result = await self._ask()
+        if result is not None:
+            await vehicle.seen(lambda: self.is_entered or vehicle.is_unavailable(guided, asked), SHOWN)
+        return result
+
+    async def _ask(self) -> int | None:
+        """Tell it once to enter the mode; the result, None when none has come soon."""
+        profile, command = self._vehicle.profile, dialect.MAV_CMD_DO_SET_MODE
+        values = profile.mode_command(profile.guided)
+        answer = await self._vehicle.exchange.command(command, *values, once=True, patience=SHOWN)
+        return answer.result

@@ -1,0 +1,226 @@
+"""Where a vehicle that follows setpoints is to be now: a target that moves within bounds. Pure.
+
+PX4 shapes no step of a position setpoint in OFFBOARD: it flies there as fast as MPC_XY_VEL_MAX allows. So the
+target itself moves, no faster than the speed that is allowed, and waits when the vehicle falls behind.
+
+PX4's position control is proportional (MPC_XY_P 0.95, MPC_Z_P 1.0, per second;
+https://docs.px4.io/main/en/flight_stack/controller_diagrams): the vehicle follows the target at a distance of
+about one second of its speed, and in steady motion it is exactly as fast as its target, whatever the wind.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Protocol
+
+from lfield_mavlink.geo import Vector
+from lfield_mavlink.setpoints.correction import SpeedCorrection
+from lfield_mavlink.setpoints.target import ONLY_POSITION, ONLY_VELOCITY, POSITION_AND_YAW, Target
+
+#: m/s upwards and downwards; the autopilot's own parameters (MPC_Z_VEL_MAX_UP, _DN) bound them too.
+CLIMB, SINK = 2.5, 1.5
+#: m/s upwards from the ground (MPC_TKO_SPEED).
+LIFTS = 1.5
+#: m/s2 by which a target gains and loses speed.
+GAINS, LOSES = 2.5, 4.0
+#: Seconds of its speed by which a vehicle follows its target.
+FOLLOWS = 1.05
+#: The longest distance of a target from its vehicle: so many seconds of its speed, and so many metres. In the
+#: last share of it the target slows down to a stand.
+LEAD_TIME, LEAD, SLOWS = 1.35, 0.5, 0.1
+#: The longest time between two setpoints in which a target moves, in seconds.
+LONGEST = 0.2
+#: m/s with which a target closes the last of its way.
+LEAST = 0.05
+#: Metres from a circle within which a target is on it.
+ON_CIRCLE = 0.05
+#: m/s2 by which a rover is slowed down before its goal.
+ROVER_BRAKES = 0.8
+#: The share of its speed that leads a rover to its goal when it drives straight at it.
+STRAIGHT = 0.95
+
+
+class Trajectory(Protocol):
+    """A target that moves; `speed` is its greatest over ground in m/s, and may be changed under way."""
+
+    speed: float
+
+    def target(self, now: float, place: Vector | None, velocity: Vector) -> Target:
+        """The setpoint at a time in seconds; `place` is where the vehicle is, None where that is not known.
+
+        The target of a vehicle whose place is not known stays where it is. `velocity` is its own, in m/s.
+        """
+
+
+class _Moving:
+    """What every moving target has: a point, its pace in m/s, and the time of the last step."""
+
+    def __init__(self, start: Vector, speed: float, pace: float = 0.0) -> None:
+        self.speed = speed
+        self._point, self._pace = start, pace
+        self._at: float | None = None
+
+    def target(self, now: float, place: Vector | None, velocity: Vector) -> Target:
+        """As in Trajectory."""
+        since = 0.0 if self._at is None else min(max(0.0, now - self._at), LONGEST)
+        self._at = now
+        if place is not None:
+            self._move(since, self._share(place))
+        return self._setpoint()
+
+    def _setpoint(self) -> Target:
+        return Target(ONLY_POSITION, self._point)
+
+    def _share(self, place: Vector) -> float:
+        """The share of its pace at which the target may move on: 0 when it is as far ahead as it may be."""
+        level = math.dist(self._point[:2], place[:2]) / (LEAD_TIME * self.speed + LEAD)
+        upright = abs(self._point[2] - place[2]) / (LEAD_TIME * CLIMB + LEAD)
+        return min(1.0, max(0.0, (1.0 - max(level, upright)) / SLOWS))
+
+    def _move(self, since: float, share: float) -> None:
+        raise NotImplementedError
+
+    def _step_to(self, goal: Vector, since: float, share: float, climb: float) -> None:
+        """Straight on to a goal, which it reaches at rest."""
+        way = tuple(g - p for g, p in zip(goal, self._point, strict=True))
+        left = math.hypot(*way)
+        if left < 1e-6:
+            self._pace = 0.0
+            return
+        level, down = math.hypot(*way[:2]) / left, way[2] / left
+        fastest = min(
+            self.speed / level if level > 1e-6 else math.inf,
+            (SINK if down > 0.0 else climb) / abs(down) if abs(down) > 1e-6 else math.inf,
+        )
+        braking = max(LEAST, math.sqrt(2.0 * LOSES * left))
+        self._pace = min(fastest, self._pace + GAINS * since, braking)
+        step = min(1.0, self._pace * share * since / left)
+        north, east, below = (p + w * step for p, w in zip(self._point, way, strict=True))
+        self._point = (north, east, below)
+
+
+class Leg(_Moving):
+    """Straight to a goal, and there until something else is commanded; `yaw` in rad, None to leave it."""
+
+    def __init__(
+        self,
+        place: Vector,
+        velocity: Vector,
+        goal: Vector,
+        speed: float,
+        *,
+        climb: float = CLIMB,
+        yaw: float | None = None,
+    ) -> None:
+        start, pace = _underway(place, velocity, goal)
+        super().__init__(start, speed, pace)
+        self._goal, self._climb, self._yaw = goal, climb, yaw
+
+    def _move(self, since: float, share: float) -> None:
+        self._step_to(self._goal, since, share, self._climb)
+
+    def _setpoint(self) -> Target:
+        if self._yaw is None:
+            return Target(ONLY_POSITION, self._point)
+        return Target(POSITION_AND_YAW, self._point, yaw=self._yaw)
+
+
+class Stay(_Moving):
+    """At a place: a stop, or a hover."""
+
+    def __init__(self, place: Vector, speed: float) -> None:
+        super().__init__(place, speed)
+
+    def _move(self, since: float, share: float) -> None:
+        """It stays."""
+
+
+class Ring(_Moving):
+    """To the nearest place of a circle and round it, until something else is commanded.
+
+    A vehicle that follows cuts the circle; so the target runs round outside of it, as far as makes up for
+    that. `speed` is the target's; the vehicle, on the smaller circle, is not faster.
+    """
+
+    def __init__(
+        self,
+        place: Vector,
+        velocity: Vector,
+        centre: Vector,
+        radius: float,
+        speed: float,
+        *,
+        clockwise: bool,
+    ) -> None:
+        self._centre, self._radius, self._clockwise = centre, radius, clockwise
+        north, east = place[0] - centre[0], place[1] - centre[1]
+        self._angle = math.atan2(east, north) if (north or east) else 0.0
+        self._on = False
+        self.speed = speed
+        start, pace = _underway(place, velocity, self._entry)
+        super().__init__(start, speed, pace)
+
+    @property
+    def _entry(self) -> Vector:
+        """Where the target is, or comes onto, its circle."""
+        lag = (self.speed * FOLLOWS) ** 2
+        square = self._radius**2
+        wide = math.sqrt((square + math.sqrt(square**2 + 4.0 * square * lag)) / 2.0)
+        north = self._centre[0] + wide * math.cos(self._angle)
+        east = self._centre[1] + wide * math.sin(self._angle)
+        return (north, east, self._centre[2])
+
+    def _move(self, since: float, share: float) -> None:
+        entry = self._entry
+        if not self._on:
+            self._step_to(entry, since, share, CLIMB)
+            self._on = math.dist(self._point, entry) <= ON_CIRCLE
+            return
+        self._pace = min(self.speed, self._pace + GAINS * since)
+        wide = math.dist(entry[:2], self._centre[:2])
+        turned = self._pace * share * since / wide
+        self._angle += turned if self._clockwise else -turned
+        self._point = self._entry
+
+
+class Pursuit:
+    """A velocity that leads a rover to a goal, less before it; it stands there.
+
+    What it drives in steady motion corrects what it is commanded.
+    """
+
+    def __init__(self, goal: Vector, speed: float, correction: SpeedCorrection) -> None:
+        self.speed = speed
+        self._goal, self._correction = goal, correction
+
+    def target(self, now: float, place: Vector | None, velocity: Vector) -> Target:
+        """As in Trajectory; nothing leads a rover whose place is not known: it stands."""
+        if place is None:
+            return Target(ONLY_VELOCITY)
+        north, east = self._goal[0] - place[0], self._goal[1] - place[1]
+        left, flown = math.hypot(north, east), math.hypot(*velocity[:2])
+        if left < 1e-6:
+            return Target(ONLY_VELOCITY)
+        braking = math.sqrt(2.0 * ROVER_BRAKES * left)
+        along = (velocity[0] * north + velocity[1] * east) / left
+        if braking > self.speed and along > STRAIGHT * flown:
+            self._correction.sample(flown, self.speed, now)
+        else:
+            self._correction.pause()
+        fast = self._correction.commanded(min(self.speed, braking))
+        return Target(ONLY_VELOCITY, velocity=(fast * north / left, fast * east / left, 0.0))
+
+
+def _underway(place: Vector, velocity: Vector, goal: Vector) -> tuple[Vector, float]:
+    """Where a target begins for a vehicle that moves already, and its pace towards the goal.
+
+    It begins where the vehicle's own speed goes on, and not beyond the goal.
+    """
+    way = tuple(g - p for g, p in zip(goal, place, strict=True))
+    left = math.hypot(*way)
+    if left < 1e-6:
+        return place, 0.0
+    along = max(0.0, sum(w * v for w, v in zip(way, velocity, strict=True)) / left)
+    share = min(1.0, along * FOLLOWS / left)
+    north, east, down = (p + w * share for p, w in zip(place, way, strict=True))
+    return (north, east, down), along

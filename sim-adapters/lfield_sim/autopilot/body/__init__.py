@@ -1,0 +1,1 @@
+"""What a vehicle is to do with its body."""
