@@ -1,20 +1,23 @@
-"""What a guard tells the host when a call is done: what it has changed, in the same write as the answer."""
+"""Telemetry is never older than the result, the exception or the latch that a program learns of."""
 
 from __future__ import annotations
 
 import asyncio
 
+import pytest
 from thing_guard import Output, guard_of, known_thing
 
 from lfield.driver.binding import DeviceBinding
 from lfield.driver.device import Device
-from lfield.guard.messages import Call, Done, Open, Refused, Snapshot, encode
+from lfield.guard.messages import Call, Cancel, Done, Latched, Open, Refused, Safe, Snapshot, encode
+from lfield.guard.shell import BACKLOG
 from lfield.guard.telemetry import RATE
 from lfield.manifest import Instruction, Quantity
 from lfield.simulate.time import JumpingLoop, LoopClock
 
 HEIGHT = Quantity("height", "real")
-CALLS = tuple(Instruction(name, (), effect="actuate", blocking=True) for name in ("rise", "answer", "fail"))
+NAMES = ("rise", "answer", "fail", "crash", "reject", "overshoot", "hover")
+CALLS = tuple(Instruction(name, (), effect="actuate", blocking=True, cancel="leave") for name in NAMES)
 
 
 class Lift(Device):
@@ -35,9 +38,29 @@ class Lift(Device):
         self.publish(height=1.0)
         raise self.error("it does not")
 
+    async def do_crash(self):
+        self.publish(height=1.0)
+        raise RuntimeError("a fault of the driver")
 
-def _written(*names, wait=0.0):
-    """What the guard writes for calls, one after the other; a list for each write."""
+    async def do_reject(self):
+        self.publish(height=1.0)
+        raise ValueError("not such a value")
+
+    async def do_overshoot(self):
+        self.publish(height=1.0)
+        self.breach("it is too high")
+        await asyncio.sleep(9.0)
+
+    async def do_hover(self):
+        self.publish(height=1.0)
+        await asyncio.sleep(9.0)
+
+
+def _written(*names, wait=0.0, then=(), unread=0):
+    """What the guard writes for calls, one after the other, and for the messages `then`; a list per write.
+
+    `unread` bytes lie in the pipe, which the host does not read.
+    """
     binding = DeviceBinding(
         agent="alpha", field="thing", type="Thing", driver="thing", endpoint="here", safe_state="off",
         ttl=0.5, limits={}, options={}, waivers=["device_watchdog"],
@@ -52,6 +75,10 @@ def _written(*names, wait=0.0):
         for token, name in enumerate(names, 1):
             now = LoopClock().monotonic()
             shell.data_received(encode(Call(token, "alpha.thing", name, [], now, now + 9.0)))
+            await asyncio.sleep(0.001)
+        output.unread = unread
+        for message in then:
+            shell.data_received(encode(message))
             await asyncio.sleep(0.001)
         await asyncio.sleep(wait)
         await shell.close()
@@ -75,8 +102,32 @@ def test_that_a_device_has_answered_waits_for_its_turn():
     assert (snapshot.device, snapshot.values) == ("alpha.thing", {})
 
 
-def test_who_fails_is_told_and_the_next_answer_is_written_as_ever():
-    ((refused,), (snapshot, done)) = _written("fail", "rise")
+@pytest.mark.parametrize("name", ["fail", "crash", "reject", "overshoot"])
+def test_what_caused_an_exception_comes_before_it_and_with_it(name):
+    (snapshot, refused, *rest), *_ = _written(name)
+    assert isinstance(snapshot, Snapshot)
+    assert snapshot.values["height"].value == 1.0
     assert isinstance(refused, Refused)
-    assert snapshot.values["height"].value == 2.0
-    assert done == Done(2, None)
+    assert all(isinstance(latched, Latched) for latched in rest)
+    assert bool(rest) == (name in ("crash", "overshoot"))
+
+
+@pytest.mark.parametrize("end", [Safe("alpha.thing", "somebody says so"), Cancel(1, 0.0)])
+def test_a_call_that_others_end_has_its_telemetry_first(end):
+    writes = _written("hover", then=[end])
+    kinds = [type(message) for write in writes for message in write]
+    assert kinds.index(Snapshot) < kinds.index(Refused)
+
+
+def test_a_host_that_does_not_read_gets_the_telemetry_of_an_exception_all_the_same():
+    """Periodic telemetry waits for it; the newest is not lost, and the cause of an exception does not wait."""
+    safe = Safe("alpha.thing", "somebody says so")
+    writes = _written("hover", then=[safe], unread=BACKLOG, wait=3 / RATE)
+    told = [message for write in writes for message in write]
+    snapshots = [message for message in told if isinstance(message, Snapshot)]
+    assert [snapshot.values["height"].value for snapshot in snapshots] == [1.0]
+    assert told.index(snapshots[0]) < [type(message) for message in told].index(Refused)
+
+
+def test_periodic_telemetry_waits_for_a_host_that_does_not_read_and_is_kept():
+    assert _written("hover", unread=BACKLOG, wait=5 / RATE) == []
