@@ -10,7 +10,7 @@ from typing import Any
 from lfield.driver import DeviceBinding, DeviceError, Driver
 from lfield_mavlink.link.dialect import AUTOPILOT, Header, Reader, Writer, dialect
 from lfield_mavlink.link.links import AGAIN, Link, make_link, split_endpoint
-from lfield_mavlink.link.ports import LinkCounts, Neighbours, Port, Route
+from lfield_mavlink.link.ports import COMMANDS, LinkCounts, Neighbours, Port, Route
 from lfield_mavlink.link.signing import open_signing, sign_link
 from lfield_mavlink.vehicle import MavlinkVehicle
 
@@ -24,8 +24,9 @@ class MavlinkDriver(Driver):
     def _device(self, binding: DeviceBinding) -> MavlinkVehicle:
         send = partial(self._send_to, binding.option("system"))
         manifest = self.manifests[binding.type]
+        others = partial(self._commander, binding.option("system"))
         return MavlinkVehicle(
-            binding, manifest, self.clock, self.reports, send, self._counts, self._why_silent
+            binding, manifest, self.clock, self.reports, send, self._counts, self._why_silent, others
         )
 
     async def _open(self) -> None:
@@ -115,11 +116,18 @@ class MavlinkDriver(Driver):
             return f"the {count} bytes that came hold no heartbeat; is it the right port and baud rate?"
         return "; ".join(port.link.why_silent() for port in self._ports)
 
+    def _commander(self, system: int) -> str:
+        """Who else has just commanded a vehicle, as far as that is heard on a link."""
+        return self._neighbours.commander(system, self.clock.monotonic())
+
     def _received(self, link: int, reader: Reader, data: bytes) -> None:
         self._received_bytes += len(data)
         for message in reader.feed(data, self._is_spare):
             system = message.get_srcSystem()
             vehicle = self._vehicles.get(system)
+            if message.get_msgId() in COMMANDS:
+                self._neighbours.commanded(message, self.clock.monotonic())
+                continue
             # Cameras and gimbals have heartbeats too; only the autopilot's says how the vehicle is.
             if vehicle is None or message.get_srcComponent() != AUTOPILOT:
                 self._neighbours.heard(message)
@@ -134,7 +142,7 @@ class MavlinkDriver(Driver):
         """
         vehicle = self._vehicles.get(header.system)
         if vehicle is None or header.component != AUTOPILOT:
-            return header.kind != int(dialect.MAVLINK_MSG_ID_HEARTBEAT)
+            return header.kind != int(dialect.MAVLINK_MSG_ID_HEARTBEAT) and header.kind not in COMMANDS
         return len(self._ports) == 1 and vehicle.is_spare(header.kind, header.sequence)
 
     def _send_to(self, system: int, message: Any) -> None:

@@ -35,8 +35,8 @@ from lfield_mavlink.watchdog import Watchdog
 class MavlinkVehicle(Contact):
     """A vehicle with an autopilot that speaks MAVLink 2.
 
-    `send` sends it a message, `counts` tells what the readers of its links have counted, and `why_silent`
-    why it may not be heard.
+    `send` sends it a message, `counts` tells what the readers of its links have counted, `why_silent` why it may
+    not be heard, and `others` which other stations command it there, as far as that is heard.
     """
 
     def __init__(
@@ -48,6 +48,7 @@ class MavlinkVehicle(Contact):
         send: Callable[[Any], None],
         counts: Callable[[], LinkCounts] = LinkCounts,
         why_silent: Callable[[], str] = lambda: "",
+        others: Callable[[], str] = lambda: "",
     ) -> None:
         super().__init__(binding, manifest, clock, reports, send)
         self._why_silent = why_silent
@@ -57,6 +58,7 @@ class MavlinkVehicle(Contact):
         self.files = FileTransfer(self)
         self.plans = PlanTransfer(self, lambda: not self.profile.px4)
         self.motion = Motion(self, self.parameters)
+        self.motion.monitor.others = others
         self.watchdog = Watchdog(self, self.parameters)
         limits = Limits(binding, self.error)
         readiness = Readiness(self, self.motion)
@@ -129,6 +131,7 @@ class MavlinkVehicle(Contact):
             self.motion.speed.keep(),
             self._guidance.keep(),
             self._nature.keep(),
+            self.motion.monitor.keep(),
         )
 
     async def _watch(self) -> None:

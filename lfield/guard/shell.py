@@ -28,6 +28,7 @@ from lfield.guard.messages import (
     Done,
     Failed,
     Latched,
+    LockedOut,
     Message,
     MessageReader,
     Moving,
@@ -49,7 +50,7 @@ from lfield.guard.telemetry import Telemetry
 #: More than this many unread bytes, and no periodic telemetry is sent: the host has stopped reading.
 BACKLOG = 1 << 18
 #: Messages that a program acts on: the telemetry of their cause goes out before them.
-OUTCOMES = (Done, Refused, Latched, Moving, Released)
+OUTCOMES = (Done, Refused, Latched, LockedOut, Moving, Released)
 #: Seconds between two answers to the host's beats.
 ANSWER = 0.5
 #: Seconds for the safe states to be commanded by a guard that has no memory left.
@@ -80,7 +81,9 @@ class Shell(asyncio.Protocol):
         self._opening = Opening(plugin, clock, self, on_loaded, lock or EndpointLock())
         # How the core ends that comes of an opening during which somebody wanted the end.
         self._leave: Callable[[GuardCore], list[Effect]] | None = None
-        self._telemetry = Telemetry(clock, self._tell, self._is_taken, self._is_backed_up)
+        self._telemetry = Telemetry(
+            clock, self._tell, self._is_taken, lambda: output.get_write_buffer_size() >= BACKLOG
+        )
         # Of what a driver can tell, new values and signs of life.
         self.publish, self.heard = self._telemetry.publish, self._telemetry.heard
         self._taken_before: list[str] = []
@@ -171,10 +174,6 @@ class Shell(asyncio.Protocol):
         name = signal.Signals(number).name
         self.note("the guard", f"{name} does not end it: it ends with its host, its devices safe")
 
-    def _is_backed_up(self) -> bool:
-        """Whether the host has stopped reading."""
-        return self._output.get_write_buffer_size() >= BACKLOG
-
     def _is_taken(self, device: str) -> bool:
         """Whether somebody else has it; while it is opened, as the guard before this one knew."""
         if self._core is None:
@@ -194,6 +193,11 @@ class Shell(asyncio.Protocol):
         """It is beyond a limit and could not be brought back: it goes safe, whatever its calls do."""
         if self._core is not None:
             self._run(self._core.safe(device, reason))
+
+    def lock_out(self, device: str, reason: str) -> None:
+        """It must be inspected before it moves again: it goes safe, and only an operator ends that."""
+        if self._core is not None:
+            self._run([*self._core.safe(device, reason, barred=True), Tell(LockedOut(device, reason))])
 
     def _callback_raised(self, loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
         reason = context.get("exception") or context.get("message", "")
@@ -311,7 +315,6 @@ class Shell(asyncio.Protocol):
                     self._be_quiet(on)
                 case Tell(message):
                     if isinstance(message, OUTCOMES):
-                        # What caused it must be readable by the program that learns of it.
                         self._telemetry.flush_changes()
                     self._tell(message)
                 case Exit(status):
