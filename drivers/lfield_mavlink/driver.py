@@ -12,6 +12,7 @@ from lfield_mavlink.link.dialect import AUTOPILOT, Header, Reader, Writer, diale
 from lfield_mavlink.link.links import AGAIN, Link, make_link, split_endpoint
 from lfield_mavlink.link.ports import COMMANDS, LinkCounts, Neighbours, Port, Route
 from lfield_mavlink.link.signing import open_signing, sign_link
+from lfield_mavlink.link.station import beat, check_stations, is_echo, station_of, why_not_alone
 from lfield_mavlink.vehicle import MavlinkVehicle
 
 #: Seconds between our own heartbeats: several within the shortest failsafe (2 s), since some are lost.
@@ -22,7 +23,7 @@ class MavlinkDriver(Driver):
     """The vehicles on some links that lead to the same place, such as a radio and a cable."""
 
     def _device(self, binding: DeviceBinding) -> MavlinkVehicle:
-        send = partial(self._send_to, binding.option("system"))
+        send = partial(self._send_to, binding.option("system"), station_of(binding))
         manifest = self.manifests[binding.type]
         others = partial(self._commander, binding.option("system"))
         return MavlinkVehicle(
@@ -40,6 +41,8 @@ class MavlinkDriver(Driver):
             if device.system in self._vehicles:
                 raise device.error(f"two devices are system {device.system} on {self.endpoint}")
             self._vehicles[device.system] = device
+        check_stations(self.bindings)
+        self._stations = {vehicle.station: vehicle for vehicle in self._vehicles.values()}
         self._signing = open_signing(self.bindings, self.clock)
         endpoints = split_endpoint(self.endpoint)
         self._routes = {system: Route(len(endpoints)) for system in self._vehicles}
@@ -130,10 +133,20 @@ class MavlinkDriver(Driver):
                 continue
             # Cameras and gimbals have heartbeats too; only the autopilot's says how the vehicle is.
             if vehicle is None or message.get_srcComponent() != AUTOPILOT:
-                self._neighbours.heard(message)
+                self._on_neighbour(message)
                 continue
             if self._routes[system].heard(link, message.get_msgbuf(), self.clock.monotonic()):
                 vehicle.on_message(message)
+
+    def _on_neighbour(self, message: Any) -> None:
+        """Somebody else is heard: nobody may have the id of a station of ours."""
+        self._neighbours.heard(message)
+        vehicle = self._stations.get(message.get_srcSystem())
+        if vehicle is None or message.get_msgId() != dialect.MAVLINK_MSG_ID_HEARTBEAT:
+            return
+        if not is_echo(message, vehicle.system) and not vehicle.not_alone:
+            vehicle.not_alone = why_not_alone(message)
+            vehicle.note(vehicle.not_alone)
 
     def _is_spare(self, header: Header) -> bool:
         """Whether a packet need not be decoded: of nobody here, or telemetry that comes faster than wanted.
@@ -145,17 +158,16 @@ class MavlinkDriver(Driver):
             return header.kind != int(dialect.MAVLINK_MSG_ID_HEARTBEAT) and header.kind not in COMMANDS
         return len(self._ports) == 1 and vehicle.is_spare(header.kind, header.sequence)
 
-    def _send_to(self, system: int, message: Any) -> None:
+    def _send_to(self, system: int, station: int, message: Any) -> None:
         for number in self._routes[system].links(self.clock.monotonic()):
-            self._ports[number].send(message)
+            self._ports[number].send(message, station)
 
     async def _beat(self) -> None:
-        """Be heard as a ground station on every link, as the autopilots' failsafes expect."""
-        message = dialect.MAVLink_heartbeat_message(
-            dialect.MAV_TYPE_GCS, dialect.MAV_AUTOPILOT_INVALID, 0, 0, dialect.MAV_STATE_ACTIVE, 3
-        )
+        """Be heard as the ground station of each vehicle on every link, as their failsafes expect."""
+        beats = [(beat(vehicle.system), vehicle.station) for vehicle in self._vehicles.values()]
         while True:
             if not self._quieted:
                 for port in self._ports:
-                    port.send(message)
+                    for message, station in beats:
+                        port.send(message, station)
             await asyncio.sleep(HEARTBEAT)

@@ -10,6 +10,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+#: The waiver of motions that an autopilot flies by itself, which go on when this computer is dead.
+AUTONOMOUS = "autonomous_motion"
 #: MAV_AUTOPILOT of the two that are served.
 ARDUPILOT, PX4 = 3, 12
 STACKS: Mapping[int, str] = {ARDUPILOT: "ArduPilot", PX4: "PX4"}

@@ -35,8 +35,8 @@ from lfield_mavlink.watchdog import Watchdog
 class MavlinkVehicle(Contact):
     """A vehicle with an autopilot that speaks MAVLink 2.
 
-    `send` sends it a message, `counts` tells what the readers of its links have counted, `why_silent` why it may
-    not be heard, and `others` which other stations command it there, as far as that is heard.
+    `send` sends it a message, `counts` tells what the readers of its links have counted, `why_silent` why it
+    may not be heard, and `others` which other stations command it there, as far as that is heard.
     """
 
     def __init__(

@@ -8,9 +8,11 @@ heartbeat, at least 2 s (a rover waits FS_TIMEOUT more). A velocity setpoint end
 (on a rover after 3 s, which is no parameter). The longer of the two is its watchdog.
 https://ardupilot.org/copter/docs/gcs-failsafe.html, https://ardupilot.org/copter/docs/ac2_guidedmode.html
 
-PX4 ends a stream of setpoints after COM_OF_LOSS_T. What it flies by itself (a goal, an orbit, a mission) ends
-by the failsafe for the data link: COM_DL_LOSS_T, 5 s at least, and 2 s more until it notices (6.6 to 7.1 were
-measured), then a hover of COM_FAIL_ACT_T, then the action. The longer is its watchdog: 7 s at least.
+PX4 acts COM_OF_LOSS_T after the last setpoint, whatever ground stations it hears. That is its watchdog
+where it moves by setpoints alone. What it flies by itself, where the binding waives that (a mission, a
+return), ends by the failsafe for the data link, for which any ground station counts: COM_DL_LOSS_T, 5 s at
+least, and 2 s more until it notices (6.6 to 7.1 were measured). Then the longer is its watchdog: 7 s at
+least.
 https://docs.px4.io/main/en/config/safety.html, https://docs.px4.io/main/en/advanced_config/parameter_reference
 """
 
@@ -18,14 +20,14 @@ from __future__ import annotations
 
 import asyncio
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
 from lfield.driver import DeviceBinding, Setting
 from lfield_mavlink.contact.contact import Contact
-from lfield_mavlink.link.dialect import SYSTEM
-from lfield_mavlink.modes import ARDUPILOT, PX4
+from lfield_mavlink.link.station import station_of
+from lfield_mavlink.modes import ARDUPILOT, AUTONOMOUS, PX4
 from lfield_mavlink.services.parameters import Parameters
 
 #: Seconds that PX4 needs, beyond COM_DL_LOSS_T, to notice that its station is gone.
@@ -34,6 +36,8 @@ NOTICES = 2.0
 ROVER_SETPOINT = 3.0
 
 Values = Mapping[str, float]
+#: A value by the binding.
+Chosen = Callable[[DeviceBinding], float]
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,21 +45,24 @@ class Need:
     """One parameter that a binding needs.
 
     `names` are its names by version, any of which may be the one; without a name it is a time of the
-    autopilot's own, `otherwise`. It must be `value` (or that of the binding's safe state) or have its bits
-    (`bits`). A time (`clock`) is at most what is left of the time that is wanted, and at least `least`; times
-    of one clock follow one another, and `after` is what the later ones need at least; those of different
-    clocks run side by side. A speed (`unit`, in so many to a m/s) is at most the limit of the binding, and
-    needed only where there is one. With `zero`, 0 is as good as any number below the bound: no time at all,
-    or no speed of its own. A need that is not `needed` may be missing; it then counts `otherwise` seconds.
-    `states` are the safe states it is for, by default all; a `whole` time has no part of a second.
+    autopilot's own, `otherwise`. It must be `value` (or that of the binding's safe state, or of the
+    binding) or have its bits (`bits`) and none of the bits `lacks`. A time (`clock`) is at most what is
+    left of the time that is wanted, at least `least` and never above `most`; times of one clock follow
+    one another, and `after` is what the later ones need at least; those of different clocks run side by
+    side. A speed (`unit`, in so many to a m/s) is at most the limit of the binding, and needed only where
+    there is one. With `zero`, 0 is as good as any number below the bound: no time at all, or no speed of
+    its own. A need that is not `needed` may be missing; it then counts `otherwise` seconds. `states` are
+    the safe states it is for, by default all; a `whole` time has no part of a second.
     """
 
     names: tuple[str, ...] = ()
     why: str = ""
-    value: float | Values = 0.0
+    value: float | Values | Chosen = 0.0
     bits: bool = False
+    lacks: int = 0
     clock: Literal["", "link", "setpoint"] = ""
     least: float = 0.0
+    most: float = math.inf
     after: float = 0.0
     whole: bool = False
     unit: Mapping[str, float] | None = None
@@ -76,11 +83,15 @@ class Need:
             most = binding.limits["speed"] * self.unit[name]
             return present if self._is_within(present, most) else 0.0 if self.zero else most
         if self.clock:
-            most = max(self.least, left - self.after)
+            most = min(self.most, max(self.least, left - self.after))
             most = math.floor(most + 1e-6) if self.whole else most
             return present if self._is_within(present, most) else most
-        value = self.value[binding.safe_state] if isinstance(self.value, Mapping) else self.value
-        return float(int(present) | int(value)) if self.bits else value
+        value = self.value
+        if isinstance(value, Mapping):
+            value = value[binding.safe_state]
+        elif callable(value):
+            value = value(binding)
+        return float((int(present) | int(value)) & ~self.lacks) if self.bits else value
 
     def _is_within(self, present: float, most: float) -> bool:
         return (present > 0.0 or (self.zero and present == 0.0)) and present <= most * (1.0 + 1e-6)
@@ -90,16 +101,34 @@ _GONE = "what it does when this computer is gone"
 _SOON = "how soon it does so"
 _LIMIT = "the speed limit of the binding"
 
-_STATION = Need(("MAV_GCS_SYSID", "SYSID_MYGCS"), "this computer is its ground station", SYSTEM)
+_STATION = Need(
+    ("MAV_GCS_SYSID", "SYSID_MYGCS"),
+    "its failsafe is for this station alone: another one, at 255, does not keep it from acting. That one "
+    "still commands modes, missions and parameters, but its sticks (RC override, MANUAL_CONTROL) are "
+    "ignored. 'lfield setup --back' undoes that",
+    station_of,
+)
+_NO_OTHERS = Need(
+    ("MAV_GCS_SYSID_HI",), "no other station counts as this one, in a range of ids", 0, needed=False
+)
 _SETPOINT = Need(("GUID_TIMEOUT",), "how long a velocity lasts", clock="setpoint", least=0.1)
 
 _COPTER = (
     # Land; brake, or land without a position; return.
     Need(("FS_GCS_ENABLE",), _GONE, {"land": 5, "hold": 7, "return": 1}),
-    Need(("FS_GCS_TIMEOUT",), _SOON, clock="link", least=2.0),
+    Need(("FS_GCS_TIMEOUT",), _SOON, clock="link", least=2.0, most=2.0),
     _STATION,
+    _NO_OTHERS,
     _SETPOINT,
-    Need(("FS_OPTIONS",), "a landing is never turned into a flight home", 8, bits=True, needed=False),
+    # Not bit 1, by which it goes on with a mission.
+    Need(
+        ("FS_OPTIONS",),
+        "a landing is never turned into a flight home, and a mission does not go on",
+        8,
+        bits=True,
+        lacks=2,
+        needed=False,
+    ),
     # In cm/s, from 4.7 on in m/s. A return is as fast as that where its own speed is 0.
     Need(("WP_SPD", "WPNAV_SPEED"), _LIMIT, unit={"WP_SPD": 1.0, "WPNAV_SPEED": 100.0}),
     Need(
@@ -114,9 +143,10 @@ _ROVER = (
     Need(("FS_GCS_ENABLE",), _GONE, 1),
     Need(("FS_ACTION",), _GONE, {"land": 2, "hold": 2, "return": 1}),
     # It waits for this after FS_GCS_TIMEOUT; 1 s is the least that is documented.
-    Need(("FS_TIMEOUT",), _SOON, clock="link", least=1.0, after=2.0, needed=False),
-    Need(("FS_GCS_TIMEOUT",), _SOON, clock="link", least=2.0),
+    Need(("FS_TIMEOUT",), _SOON, clock="link", least=1.0, most=1.0, after=2.0, needed=False),
+    Need(("FS_GCS_TIMEOUT",), _SOON, clock="link", least=2.0, most=2.0),
     _STATION,
+    _NO_OTHERS,
     Need(clock="setpoint", otherwise=ROVER_SETPOINT),
     Need(("WP_SPEED",), _LIMIT, unit={"WP_SPEED": 1.0}),
     Need(("RTL_SPEED",), f"{_LIMIT}, on the way home", unit={"RTL_SPEED": 1.0}, zero=True, needed=False),
@@ -126,18 +156,21 @@ _PLANE = (
     Need(("FS_LONG_ACTN",), _GONE, 1),
     Need(("FS_LONG_TIMEOUT",), _SOON, clock="link", least=1.0),
     _STATION,
+    _NO_OTHERS,
 )
 _SUBMARINE = (
     # Surface; hold the depth; surface.
     Need(("FS_GCS_ENABLE",), _GONE, {"land": 4, "hold": 3, "return": 4}),
     Need(("FS_GCS_TIMEOUT",), _SOON, clock="link", least=2.0, needed=False, otherwise=5.0),
     _STATION,
+    _NO_OTHERS,
 )
 _PX4 = (
-    Need(("COM_OF_LOSS_T",), "how long a velocity lasts", clock="setpoint", least=0.25),
-    Need(("COM_OBL_RC_ACT",), "what it does when velocities end", {"land": 4, "hold": 5, "return": 3}),
-    # A hover before the action, of any failsafe, which leaves a pilot the time to take over.
-    Need(("COM_FAIL_ACT_T",), _SOON, clock="link", after=7.0, zero=True, states=("land", "return")),
+    Need(("COM_OF_LOSS_T",), "how soon it acts when setpoints end", clock="setpoint", least=0.25, most=1.0),
+    Need(("COM_OBL_RC_ACT",), "what it does when setpoints end", {"land": 4, "hold": 5, "return": 3}),
+    # A hover before the action of any failsafe.
+    Need(("COM_FAIL_ACT_T",), "it does not wait before a failsafe acts", 0.0),
+    Need(("COM_RC_OVERRIDE",), "a pilot takes over by the sticks in OFFBOARD", 2, bits=True),
     Need(("COM_DL_LOSS_T",), _SOON, clock="link", least=5.0, after=NOTICES, whole=True),
     Need(clock="link", otherwise=NOTICES),
     Need(("NAV_DLL_ACT",), _GONE, {"land": 3, "hold": 1, "return": 2}),
@@ -200,7 +233,13 @@ class Watchdog:
                 settings.append(Setting(name, present, wanted, need.why))
             if need.clock:
                 clocks[need.clock] = clocks.get(need.clock, 0.0) + wanted
-        return settings, max(clocks.values())
+        return settings, max(clocks.values()) if self._moves_by_itself else clocks["setpoint"]
+
+    @property
+    def _moves_by_itself(self) -> bool:
+        """Whether it goes on without setpoints: then its failsafe for the data link counts, too."""
+        profile, binding = self._vehicle.profile, self._vehicle.binding
+        return not profile.by_trajectory or binding.waives(AUTONOMOUS)
 
     async def _read(self, need: Need) -> tuple[str, float | None]:
         """The parameter under the name that this autopilot has for it. Raises DeviceError."""

@@ -1,7 +1,7 @@
 """Telemetry on its way to the host: the newest values of each device, pushed at a bounded rate.
 
-Before a result, an exception or a latch goes out, `flush_changes` pushes what was published until then: a program
-must never read telemetry that is older than the exception it has just caught.
+Before a result, an exception or a latch goes out, `flush_changes` pushes what was published until then: a
+program must never read telemetry that is older than the exception it has just caught.
 """
 
 from __future__ import annotations
@@ -31,8 +31,8 @@ class _Latest:
 class Telemetry:
     """Collects what drivers publish and calls `push` with snapshots, at RATE at most.
 
-    `taken` is asked for each whether somebody else has the device. While `is_blocked`, since the host does not
-    read, nothing is pushed by the timer; the newest values are kept for the next push.
+    `taken` is asked for each whether somebody else has the device. While `is_blocked`, since the host does
+    not read, nothing is pushed by the timer; the newest values are kept for the next push.
     """
 
     def __init__(

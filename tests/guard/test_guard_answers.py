@@ -120,7 +120,7 @@ def test_a_call_that_others_end_has_its_telemetry_first(end):
 
 
 def test_a_host_that_does_not_read_gets_the_telemetry_of_an_exception_all_the_same():
-    """Periodic telemetry waits for it; the newest is not lost, and the cause of an exception does not wait."""
+    """Periodic telemetry waits, and its newest is not lost; the cause of an exception does not wait."""
     safe = Safe("alpha.thing", "somebody says so")
     writes = _written("hover", then=[safe], unread=BACKLOG, wait=3 / RATE)
     told = [message for write in writes for message in write]

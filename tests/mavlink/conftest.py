@@ -17,6 +17,7 @@ from lfield_sim.autopilot.autopilot import FLAVOURS, Autopilot
 from lfield_sim.mavlink.link.wire import make_faults
 from lfield_sim.mavlink.protocol import STEP, MavlinkFake
 from lfield_sim.mavlink.set_up import set_up as set_up_for
+from lfield_sim.mavlink.set_up import station
 
 
 class MemoryLink:
@@ -80,7 +81,9 @@ class Bench(DriverBench):
         }
         for fake in self.fakes.values() if set_up else ():
             speed = (limits or {}).get("speed")
-            fake.autopilot.parameters.update(set_up_for(flavour, vehicle.name, safe_state, ttl, speed))
+            own = (options or {}).get("station") or station(fake.system)
+            wanted = set_up_for(flavour, vehicle.name, safe_state, ttl, speed, station=own)
+            fake.autopilot.parameters.update(wanted)
             fake.autopilot.apply_parameters()
         self.autopilot = self.fakes[systems[0]].autopilot
         self.sent: list[bytes] = []

@@ -49,7 +49,7 @@ class Channel:
     def send(self, message: Any) -> None:
         """From the service to the vehicle."""
         self.sent.append(message)
-        self._carry(self.up[0].pack(message), self._at_vehicle)
+        self._carry(self.up[0].pack(message, 255), self._at_vehicle)
 
     def tell(self, messages: list[Any]) -> None:
         """From the vehicle to the service."""

@@ -13,6 +13,7 @@ from lfield_mavlink.contact.exchange import Exchange, is_for_us
 from lfield_mavlink.contact.state import Texts, VehicleState
 from lfield_mavlink.geo import Place
 from lfield_mavlink.link.dialect import dialect, result_words
+from lfield_mavlink.link.station import station_of
 from lfield_mavlink.modes import PX4_WORDS, STACKS, Profile
 
 #: Seconds without any message after which the link is lost: a call must fail within 3 s.
@@ -50,6 +51,8 @@ class Contact(Device):
     ) -> None:
         super().__init__(binding, manifest, clock, reports)
         self.system: int = binding.option("system")
+        #: The system id of this computer towards it, and why that is not this computer's alone ('': it is).
+        self.station, self.not_alone = station_of(binding), ""
         #: Set while the owner is gone: nothing is asked for (see Driver.quiet).
         self.quiet = False
         #: Set while the vehicle is not heard.
@@ -58,7 +61,7 @@ class Contact(Device):
         self.send = send
         self.state = VehicleState(binding.option("kind"))
         self._stack: str = binding.option("autopilot")
-        self.exchange = Exchange(self.system, send, lambda: self.silence <= LINK_LOST)
+        self.exchange = Exchange(self.system, self.station, send, lambda: self.silence <= LINK_LOST)
         self.texts = Texts()
         self._heard_at = -math.inf
         self._news = asyncio.Event()
@@ -98,6 +101,11 @@ class Contact(Device):
         if self.silence > LINK_LOST:
             raise self.error(f"nothing heard for {self.silence:.1f} s; the link is lost", timeout=True)
 
+    def check_station(self, what: str) -> None:
+        """Raise DeviceError when somebody else has the id of its station."""
+        if self.not_alone:
+            raise self.error(f"{what} refused: {self.not_alone}")
+
     def check_identity(self) -> None:
         """Raise DeviceError when it is another vehicle than the binding says."""
         state, kind = self.state, self.state.kind
@@ -125,7 +133,7 @@ class Contact(Device):
         values = self.state.update(message, now)
         if values:
             self.publish(**values)
-        if is_for_us(message):
+        if is_for_us(message, self.station):
             self._hand_over(message)
         self._news.set()
 

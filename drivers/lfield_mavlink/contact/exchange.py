@@ -11,7 +11,7 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 from lfield_mavlink.geo import Place
-from lfield_mavlink.link.dialect import AUTOPILOT, COMPONENT, SYSTEM, dialect
+from lfield_mavlink.link.dialect import AUTOPILOT, COMPONENT, dialect
 
 #: Seconds to wait for an answer, and how often to ask. One that is heard meanwhile is asked longer: at a loss
 #: of 20 % each way every third question has no answer.
@@ -28,15 +28,20 @@ class Answer(NamedTuple):
 
 
 class Exchange:
-    """The open questions to one vehicle; `send` takes a message, `heard` says whether it is heard.
+    """The open questions of a station to one vehicle, both by their system ids.
 
+    `send` takes a message, `heard` says whether the vehicle is heard.
     `px4` is set when the autopilot is known: PX4 wants NaN for what is not used, ArduPilot 0.
     """
 
     def __init__(
-        self, system: int, send: Callable[[Any], None], heard: Callable[[], bool] = lambda: False
+        self,
+        system: int,
+        station: int,
+        send: Callable[[Any], None],
+        heard: Callable[[], bool] = lambda: False,
     ) -> None:
-        self.px4 = False
+        self.px4, self._station = False, station
         self._system, self._send, self._heard = system, send, heard
         self._questions: dict[int, _Question] = {}
         self._timer: asyncio.Handle | None = None
@@ -112,7 +117,7 @@ class Exchange:
         """Hand an answer to whoever waits for it; answers to others are left alone."""
         if message.get_msgId() == dialect.MAVLINK_MSG_ID_COMMAND_ACK:
             question = self._questions.get(message.command)
-            if question is not None and is_for_us(message):
+            if question is not None and is_for_us(message, self._station):
                 question.answer(message.result, asyncio.get_running_loop().time())
 
     def _command_long(self, number: int, confirmation: int, values: tuple[float | None, ...]) -> Any:
@@ -140,10 +145,10 @@ class Exchange:
         return [unused if value is None else value for value in padded]
 
 
-def is_for_us(message: Any) -> bool:
-    """Whether a message is for everybody, or for this ground station."""
+def is_for_us(message: Any, station: int) -> bool:
+    """Whether a message is for everybody, or for the ground station with this system id."""
     system, component = getattr(message, "target_system", 0), getattr(message, "target_component", 0)
-    return system in (0, SYSTEM) and component in (0, COMPONENT)
+    return system in (0, station) and component in (0, COMPONENT)
 
 
 class _Question:

@@ -16,10 +16,10 @@ from pymavlink.dialects.v20 import all as dialect
 from lfield_mavlink.link.layouts import SHORTEST, Layout
 from lfield_mavlink.link.signing import LinkSigning
 
-__all__ = ["AUTOPILOT", "COMPONENT", "SYSTEM", "Reader", "Writer", "dialect", "result_words"]
+__all__ = ["AUTOPILOT", "COMPONENT", "Reader", "Writer", "dialect", "result_words"]
 
-#: Who we are: a ground station (the only id whose heartbeat counts by default), on board.
-SYSTEM, COMPONENT = 255, dialect.MAV_COMP_ID_ONBOARD_COMPUTER
+#: What we are: a computer on board. Which system is said for each vehicle (`station`).
+COMPONENT = dialect.MAV_COMP_ID_ONBOARD_COMPUTER
 #: The autopilot's component. pymavlink leaves the target component at 0 unless told.
 AUTOPILOT = dialect.MAV_COMP_ID_AUTOPILOT1
 
@@ -100,22 +100,24 @@ class Reader:
 
 
 class Writer:
-    """Messages to packets, numbered, and signed where there is a key."""
+    """Messages of some systems to packets, numbered for each, and signed where there is a key."""
 
     def __init__(self, signing: LinkSigning | None = None) -> None:
-        self._mavlink: Any = dialect.MAVLink(None, srcSystem=SYSTEM, srcComponent=COMPONENT)
+        self._mavlink: Any = dialect.MAVLink(None, srcComponent=COMPONENT)
         self._signing = signing
+        self._sequences: dict[int, int] = {}
 
-    def pack(self, message: Any) -> bytes:
-        """One packet."""
-        layout, sequence = _LAYOUTS[message.get_msgId()], self._mavlink.seq
+    def pack(self, message: Any, system: int) -> bytes:
+        """One packet of a system."""
+        layout, sequence = _LAYOUTS[message.get_msgId()], self._sequences.get(system, 0)
         if self._signing is None and layout.is_plain:
-            data = layout.packet(message, sequence, SYSTEM, COMPONENT)
+            data = layout.packet(message, sequence, system, COMPONENT)
         else:
+            self._mavlink.srcSystem, self._mavlink.seq = system, sequence
             if self._signing is not None:
                 self._signing.seal(self._mavlink)
             data = bytes(message.pack(self._mavlink))
-        self._mavlink.seq = (sequence + 1) % 256
+        self._sequences[system] = (sequence + 1) % 256
         return data
 
 

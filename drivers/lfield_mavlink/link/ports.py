@@ -21,7 +21,7 @@ REMEMBERED = 512
 MOST_NEIGHBOURS = 16
 #: Seconds for which a command of somebody else may be why a vehicle goes elsewhere.
 JUST = 3.0
-#: Messages that send a vehicle somewhere: SET_MODE, MISSION_SET_CURRENT, COMMAND_INT, COMMAND_LONG, setpoints.
+#: Messages that send a vehicle somewhere: SET_MODE, MISSION_SET_CURRENT, COMMAND_INT and _LONG, setpoints.
 COMMANDS = frozenset({11, 41, 75, 76, 84, 86})
 
 
@@ -34,9 +34,9 @@ class Port:
     writer: Writer
     signing: LinkSigning | None
 
-    def send(self, message: Any) -> None:
-        """One message as one packet."""
-        self.link.send(self.writer.pack(message))
+    def send(self, message: Any, station: int) -> None:
+        """One message as one packet, of the station with this system id."""
+        self.link.send(self.writer.pack(message, station))
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,8 +1,9 @@
 """Falls and crashes of a vehicle that flies, from its telemetry. Pure: samples and times in, findings out.
 
-The bounds are those of the recordings. In normal flight ArduCopter and PX4 sink at most 2.0 m/s and tilt at most
-31 degrees; with one motor at 60 % an ArduCopter tilted 29 degrees, lost 1 m in 1.1 s, sank 1.5 m/s by then, and hit
-the ground at 2.7 m/s 4.2 s after the fault (gauntlet-b). After a forced disarm it fell 1.1 m/s within 0.1 s.
+The bounds are those of the recordings. In normal flight ArduCopter and PX4 sink at most 2.0 m/s and tilt at
+most 31 degrees; with one motor at 60 % an ArduCopter tilted 29 degrees, lost 1 m in 1.1 s, sank 1.5 m/s by
+then, and hit the ground at 2.7 m/s 4.2 s after the fault (gauntlet-b). After a forced disarm it fell 1.1 m/s
+within 0.1 s.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from dataclasses import dataclass
 
 #: Metres below the lowest height that a motion may have, and m/s downwards there, that are a fall.
 LOST, SINKS = 1.0, 1.0
-#: m/s downwards that are a fall in any case: at least so much, or a share of the autopilot's own speed of descent.
+#: m/s downwards that are a fall in any case: so much, or a share of the autopilot's own speed of descent.
 FASTEST, SHARE, MORE = 2.6, 1.4, 0.5
 #: Seconds for which it must sink so fast.
 LASTS = 0.25
@@ -21,8 +22,8 @@ LASTS = 0.25
 BRAKES = 1.0
 #: Radians from upright, and the seconds for which it must tilt so far.
 TILTS, TILTS_FOR = math.radians(60.0), 0.4
-#: An impact: m/s downwards before, m/s2 at least with which that ended, and metres above home at most; higher it
-#: must be seen to stand.
+#: An impact: m/s downwards before, m/s2 at least with which that ended, and metres above home at most; higher
+#: it must be seen to stand.
 HITS, STOPS, LOW = 2.0, 6.0, 2.5
 #: Seconds between two samples in which an impact is looked for.
 GAP = 1.0
@@ -54,8 +55,8 @@ class Finding:
 class Expected:
     """What a motion may do with the height: metres above home, m/s.
 
-    `goal` is the height that it leads to, infinity for one that only must not sink, None for one that leads down;
-    `sink` is the speed downwards that is commanded.
+    `goal` is the height that it leads to, infinity for one that only must not sink, None for one that leads
+    down; `sink` is the speed downwards that is commanded.
     """
 
     goal: float | None = None
@@ -72,7 +73,7 @@ class DescentMonitor:
     def __init__(self) -> None:
         self.falling = self.crashed = ""
         self._expected, self._fastest = DESCENT, FASTEST
-        # The lowest height that the present motion may have, and the highest that it has had; None before a sample.
+        # The lowest height that the present motion may have (None before a sample), and the highest it has had.
         self._floor: float | None = None
         self._top = -math.inf
         self._last: tuple[float, float, float] | None = None

@@ -32,8 +32,8 @@ NEEDS_NONE = ("land", "arm", "disarm", "mode ")
 ABOVE_SEA = (dialect.MAV_FRAME_GLOBAL, dialect.MAV_FRAME_GLOBAL_INT)
 #: type_mask: no place over ground, no height.
 NO_PLACE, NO_HEIGHT = 0x3, 0x4
-#: m/s: the autopilot's own speeds of descent. Each has the names of one parameter by version, with how many of its
-#: unit are 1 m/s; https://ardupilot.org/copter/docs/parameters.html, and PX4's parameter reference.
+#: m/s: the autopilot's own speeds of descent. Each has the names of one parameter by version, with how many of
+#: its unit are 1 m/s; https://ardupilot.org/copter/docs/parameters.html, and PX4's parameter reference.
 DESCENTS: Mapping[tuple[int, str], tuple[Mapping[str, float], ...]] = {
     (ARDUPILOT, "copter"): (
         {"WP_SPD_DN": 1.0, "WPNAV_SPEED_DN": 100.0},
@@ -44,7 +44,11 @@ DESCENTS: Mapping[tuple[int, str], tuple[Mapping[str, float], ...]] = {
 
 
 class FlightMonitor:
-    """Watches one vehicle. `others` names the other systems on its links, `is_ours` who has chosen its mode."""
+    """Watches one vehicle.
+
+    `others` names who else has just commanded it, as far as that is heard; `is_ours` says whether this program
+    chose its mode.
+    """
 
     def __init__(self, vehicle: Contact, parameters: Parameters) -> None:
         self._vehicle, self._state, self._parameters = vehicle, vehicle.state, parameters
@@ -87,11 +91,11 @@ class FlightMonitor:
         return self._position.lost(self._now) if self._state.armed and self._is_judged_by_place else ""
 
     def check_begin(self, what: str) -> None:
-        """A motion is to begin. Raises DeviceError when it may not, or needs a position that there is not."""
+        """A motion is to begin. Raises DeviceError when it must not, or needs a position that is lost."""
         if self.crashed:
             raise self._vehicle.error(
-                f"{what} refused: {self.crashed}. It must be inspected; then an operator ends the lock-out by "
-                "'lfield estop --lift', and release() takes it back"
+                f"{what} refused: {self.crashed}. It must be inspected; then an operator ends the lock-out "
+                "by 'lfield estop --lift', and release() takes it back"
             )
         if (lost := self.lost_position) and not what.startswith(NEEDS_NONE):
             raise self._vehicle.error(f"{what} refused: {lost}; land() needs no position")
@@ -99,7 +103,7 @@ class FlightMonitor:
         self._expect(DESCENT)
 
     async def check(self, what: str, order: Order, left: float) -> None:
-        """A motion goes on, with a distance left to its goal in metres. Raises DeviceError when it must not."""
+        """A motion goes on, `left` metres from its goal. Raises DeviceError when it must not."""
         await self.settle()
         descent = self._descent
         if descent.falling:

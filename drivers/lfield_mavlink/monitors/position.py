@@ -1,7 +1,7 @@
 """Whether a vehicle still knows where it is: by the fix of its receivers and what its estimator says. Pure.
 
-An ArduCopter without GPS goes on for 8 s as if nothing had happened: mode, position and health are as before, only
-the fix is gone (gauntlet-a). Its estimator says so after 6 s (EKF_STATUS_REPORT), PX4's within 5 s
+An ArduCopter without GPS goes on for 8 s as if nothing had happened: mode, position and health are as before,
+only the fix is gone (gauntlet-a). Its estimator says so after 6 s (EKF_STATUS_REPORT), PX4's within 5 s
 (ESTIMATOR_STATUS). What has never had a fix knows its place by other means, and is not judged.
 """
 

@@ -1,8 +1,8 @@
 """Whether the autopilot follows the target that it was sent: what it tells of it is compared. Pure.
 
-POSITION_TARGET_GLOBAL_INT and POSITION_TARGET_LOCAL_NED tell where an autopilot in the mode for setpoints is going.
-Any station may send it somewhere else: an ArduCopter follows the last setpoint, whoever sent it, and tells nobody
-(facts-3.md 9).
+POSITION_TARGET_GLOBAL_INT and POSITION_TARGET_LOCAL_NED tell where an autopilot in the mode for setpoints is
+going. Any station may send it somewhere else: an ArduCopter follows the last setpoint, whoever sent it, and
+tells nobody (gauntlet-a).
 """
 
 from __future__ import annotations
@@ -57,10 +57,10 @@ class TargetMonitor:
             self._strange = now, place
 
     def on_guided(self, now: float) -> float | None:
-        """It is still in the mode for setpoints: how far its target is from the one that was sent, in metres.
+        """It is still in the mode for setpoints: metres between its target and the one that was sent.
 
-        None while it is the one that was sent, or nothing is known. A target of another mode may be told before
-        that mode is.
+        None while it is the one that was sent, or nothing is known. A target of another mode may be told
+        before that mode is.
         """
         if self._strange is None or now <= self._strange[0] or not self._sent:
             return None
@@ -75,7 +75,7 @@ class TargetMonitor:
 
 
 class DepartureMonitor:
-    """Whether a vehicle goes away from a goal that it was closing in on: `away` metres farther than before."""
+    """Whether a vehicle goes away from a goal that it was closing in on."""
 
     #: m/s away, the seconds for which, and the metres farther than before.
     SPEED, LASTS, AWAY = 0.5, 0.6, 3.0
@@ -88,7 +88,7 @@ class DepartureMonitor:
         """A sample of the distance to the goal in metres."""
         took, changed = now - self._last_at, left - self._last
         if took > 0.0 or self._last == math.inf:
-            leaves = 0.0 < took and changed > self.SPEED * took
+            leaves = took > 0.0 and changed > self.SPEED * took
             self._away_at = min(self._away_at, now) if leaves else math.inf
             self._last, self._last_at = left, now
         self._best = min(self._best, left)

@@ -68,6 +68,7 @@ class Flight:
             return
         await self._motion.monitor.settle()
         self._motion.monitor.check_begin("arm")
+        vehicle.check_station("arm")
         await vehicle.check_settings()
         if self._state.mode != vehicle.profile.arming:
             await self._motion.set_mode(vehicle.profile.arming)

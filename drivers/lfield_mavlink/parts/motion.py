@@ -11,6 +11,7 @@ from lfield_mavlink.contact.contact import SHOWS, Contact
 from lfield_mavlink.geo import Vector
 from lfield_mavlink.limits import BRAKES
 from lfield_mavlink.link.dialect import dialect
+from lfield_mavlink.modes import AUTONOMOUS
 from lfield_mavlink.monitors.flight_monitor import FlightMonitor
 from lfield_mavlink.parts.failsafe import Failsafe
 from lfield_mavlink.parts.fences import OwnFence
@@ -35,8 +36,6 @@ PLACED = 0.5
 LEFT = 0.7
 #: m/s over ground with which a stop is followed.
 STAYS_AT = 1.0
-#: The waiver of motions that PX4 flies by itself.
-AUTONOMOUS = "autonomous_motion"
 
 
 def stopping_place(place: Vector, velocity: Vector) -> Vector:

@@ -94,7 +94,8 @@ class GcsRule:
     """The failsafe for a lost ground station, by the names of its parameters ('' where it has none).
 
     `action` 0 switches it off; `pause` are seconds of hold before the action; `options` bit 3 lets a
-    landing go on (`goes_on` is said then); `station` is the only system whose heartbeats count. `late` is
+    landing go on (`goes_on` is said then); `station` is the only system whose heartbeats count, or the first
+    of them, up to `stations_to`, on whatever link. `late` is
     how much longer than the timeout it takes, in s, or the parameter that says so. While it lasts arming is
     refused when it `forbids` that, with `refusal` ('': without a word). `stands` says that what is not armed
     takes the action too, unless it holds or returns already. `lost_text` is said whatever the action is,
@@ -110,6 +111,7 @@ class GcsRule:
     pause: str = ""
     options: str = ""
     station: str = ""
+    stations_to: str = ""
     enable: str = ""
     late: str | float = 0.0
     goes_on: str = ""

@@ -31,7 +31,7 @@ from lfield_sim.mavlink.options import (
     vehicle,
     vehicles,
 )
-from lfield_sim.mavlink.set_up import STATES, set_up
+from lfield_sim.mavlink.set_up import STATES, set_up, station
 from lfield_sim.state_log import add_log_option
 
 #: A speed, an acceleration, a charge.
@@ -163,7 +163,10 @@ def _stand(placement: Placement, conditions: Sequence[str]) -> Stand:
 
 def _set_up(device: DeviceBinding, vehicle: VehicleOption) -> dict[str, float]:
     state = device.safe_state if device.safe_state in STATES else STATES[0]
-    return set_up(vehicle.flavour, vehicle.kind, state, device.ttl, device.limits.get("speed"))
+    number = int(str(device.options.get("station", 0))) or station(vehicle.system)
+    return set_up(
+        vehicle.flavour, vehicle.kind, state, device.ttl, device.limits.get("speed"), station=number
+    )
 
 
 SIM = MavlinkSim()

@@ -16,7 +16,7 @@ from lfield_sim.mavlink.link.wire import KNOWN
 from lfield_sim.mavlink.options import APART, Stand, VehicleOption
 from lfield_sim.mavlink.protocol import MavlinkFake, MavlinkLink
 from lfield_sim.mavlink.server import Server, open_door
-from lfield_sim.mavlink.set_up import set_up
+from lfield_sim.mavlink.set_up import set_up, station
 from lfield_sim.serving import serve_until_told
 from lfield_sim.state_log import StateLog
 
@@ -100,7 +100,9 @@ class Setup:
                 if level.of_capacity:
                     autopilot.parameters[level.threshold] = LOW * self.capacity
         known = autopilot.parameters
-        wanted = set_up(option.flavour, option.kind, self.state) if self.state else {}
+        wanted: Mapping[str, float] = {}
+        if self.state:
+            wanted = set_up(option.flavour, option.kind, self.state, station=station(option.system))
         for given in (wanted, self.parameters.get(0, {}), self.parameters.get(option.system, {})):
             known.update({name: value for name, value in given.items() if name in known})
         autopilot.apply_parameters()

@@ -27,14 +27,28 @@ _SPEEDS: Mapping[tuple[str, str], Values] = {
 }
 
 
+def station(system: int) -> int:
+    """The system id that lfield has as the ground station of a vehicle, where its binding says no other."""
+    return (system + 126) % 254 + 1
+
+
 def set_up(
-    flavour: str, kind: str, state: str = STATES[0], ttl: float = 0.5, speed: float | None = None
+    flavour: str,
+    kind: str,
+    state: str = STATES[0],
+    ttl: float = 0.5,
+    speed: float | None = None,
+    *,
+    station: int,
 ) -> dict[str, float]:
     """The parameters of one that does `state` when its computer is gone, as soon as it can.
 
-    Its setpoints end within twice `ttl` seconds; it is not faster than `speed`, in m/s.
+    Its setpoints end within twice `ttl` seconds; it is not faster than `speed`, in m/s. `station` is the
+    system id of its computer.
     """
     found = _failsafes(flavour, kind, state, 2.0 * ttl)
+    if flavour == "ardupilot":
+        found |= {"MAV_GCS_SYSID": station, "MAV_GCS_SYSID_HI": 0}
     known = FLAVOURS[flavour][kind].parameters
     for name, unit in _SPEEDS[flavour, kind].items() if speed is not None else ():
         assert speed is not None
@@ -48,6 +62,8 @@ def _failsafes(flavour: str, kind: str, state: str, longest: float) -> dict[str,
             "COM_OF_LOSS_T": max(0.25, min(1.0, longest)),
             "COM_OBL_RC_ACT": _PX4_STREAM_ACTIONS[state],
             "COM_FAIL_ACT_T": 0.0,
+            # Its default, and that sticks take over in OFFBOARD.
+            "COM_RC_OVERRIDE": 1 | 2,
             "COM_DL_LOSS_T": 5.0,
             "NAV_DLL_ACT": _PX4_ACTIONS[state],
         }

@@ -47,7 +47,7 @@ class StandIn:
     """The vehicle: `async with StandIn() as vehicle`; it is at `vehicle.endpoint`.
 
     `files` is the folder that it serves; `label` whether it says that it has a PX4. It stands at `NORTH` and
-    `EAST`, takes off when it is told to, and is at its height at once; `missions` are those that came.
+    `EAST`, at a `height` that a test gives it, until it lands; `missions` are those that came.
     """
 
     def __init__(self, files: str = "", *, label: bool = True) -> None:
@@ -71,7 +71,7 @@ class StandIn:
         self.mission = MissionRawServerAsync(component)
         self.files = FtpServerAsync(component)
         await self._set_up()
-        works = (self._publish(), self._take_missions(), self._take_off(), self._land())
+        works = (self._publish(), self._take_missions(), self._land())
         self._tasks = [loop.create_task(work) for work in works]
         return self
 
@@ -126,12 +126,6 @@ class StandIn:
     async def _take_missions(self) -> None:
         async for _, plan in self.mission.subscribe_incoming_mission():
             self.missions.put_nowait(plan)
-
-    async def _take_off(self) -> None:
-        async for _, allowed in self.action.subscribe_takeoff():
-            if allowed:
-                await self.action.set_flight_mode(FlightMode.TAKEOFF)
-                self.height = await self.parameters.retrieve_param_float("MIS_TAKEOFF_ALT")
 
     async def _land(self) -> None:
         """By the mode: NAV_LAND itself gets no answer from MAVSDK, whoever subscribes to it."""

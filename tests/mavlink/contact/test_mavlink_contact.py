@@ -70,7 +70,7 @@ class Asked:
     def __init__(self, answers) -> None:
         self.sent: list = []
         self.answers = answers
-        self.exchange = Exchange(1, self._send)
+        self.exchange = Exchange(1, 255, self._send)
 
     def _send(self, message):
         self.sent.append(message)
@@ -127,7 +127,7 @@ def test_malformed_bytes_never_raise_and_never_hide_what_follows(pieces):
     for piece in pieces:
         for message in reader.feed(piece):
             state.update(message, 1.0)
-    packet = Writer().pack(dialect.MAVLink_heartbeat_message(2, 3, 129, 4, 4, 3))
+    packet = Writer().pack(dialect.MAVLink_heartbeat_message(2, 3, 129, 4, 4, 3), 1)
     # A false header may swallow up to a whole packet's worth of bytes before it is found out.
     for _ in range(20):
         for message in reader.feed(packet):

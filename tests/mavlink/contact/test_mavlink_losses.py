@@ -52,7 +52,7 @@ def test_the_first_velocity_is_in_time_however_bad_the_link_is(flown, flavour, k
         loop, took, guided = asyncio.get_running_loop(), [], fc.profile.guided
         b.faults.apply(["loss=0.2"])
         for number in range(CALLS):
-            await fc.execute("hold", [])
+            await fc.execute("setMode", [fc.profile.hold])
             assert b.autopilot.mode == fc.profile.hold
             await asyncio.sleep(0.2 + 0.013 * (number % 10))
             start = loop.time()
@@ -82,7 +82,7 @@ def test_velocities_and_holds_by_turns_are_in_time_on_a_bad_link(flown, flavour,
                 await fc.execute("setVelocity", [1.5 * (-1.0) ** number, 0.0, 0.0])
                 assert loop.time() - start < TTL
                 await asyncio.sleep(pause)
-            await fc.execute("hold", [])
+            await fc.execute("setMode", [fc.profile.hold])
             assert b.autopilot.mode == fc.profile.hold
 
     flown(work, flavour=flavour, kind=kind, systems=(seed,), limits={"speed": 3.0})
@@ -117,6 +117,7 @@ def test_an_entry_that_is_refused_is_told_in_its_words(flown, monkeypatch):
 
 def test_what_it_accepts_and_does_not_speak_against_is_believed_while_it_shows_no_mode(flown):
     async def work(b, fc):
+        await fc.execute("setMode", ["AUTO.LOITER"])
         b.filter = without(*TOLD)
         loop = asyncio.get_running_loop()
         for _ in range(3):
@@ -135,6 +136,8 @@ def test_what_it_speaks_against_is_not_believed(flown):
     """Its words are lost the first time."""
 
     async def work(b, fc):
+        await fc.execute("setMode", ["AUTO.LOITER"])
+        await asyncio.sleep(2.0)
         fc.motion.stream.start = lambda target, until: None
         said = []
 

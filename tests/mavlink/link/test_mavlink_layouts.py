@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pymavlink.generator.mavcrc import x25crc
 
-from lfield_mavlink.link.dialect import COMPONENT, SYSTEM, Reader, Writer, dialect
+from lfield_mavlink.link.dialect import COMPONENT, Reader, Writer, dialect
 
 KINDS = sorted(dialect.mavlink_map)
 
@@ -77,7 +77,8 @@ PACKED = [kind for kind in KINDS if kind != dialect.MAVLINK_MSG_ID_TEST_TYPES]
 @given(st.sampled_from(PACKED), st.binary(max_size=255), st.integers(0, 255))
 def test_messages_are_packed_as_pymavlink_packs_them(kind, payload, sequence):
     message = dialect.MAVLink(None).decode(bytearray(packed(kind, payload)))
-    writer, other = Writer(), dialect.MAVLink(None, srcSystem=SYSTEM, srcComponent=COMPONENT)
-    writer._mavlink.seq = other.seq = sequence
-    assert writer.pack(message) == message.pack(other)
-    assert writer.pack(message)[4] == (sequence + 1) % 256
+    writer, other = Writer(), dialect.MAVLink(None, srcSystem=128, srcComponent=COMPONENT)
+    writer._sequences[128] = other.seq = sequence
+    assert writer.pack(message, 128) == message.pack(other)
+    assert writer.pack(message, 128)[4] == (sequence + 1) % 256
+    assert writer.pack(message, 129)[4:6] == bytes([0, 129]), "each system numbers its own"

@@ -513,7 +513,7 @@ def test_streams_that_stopped_are_asked_for_again(bench):
         # Another ground station on the link has stopped them.
         for kind in SOURCES:
             stop = dialect.MAVLink_command_long_message(1, 1, 511, 0, kind, -1, 0, 0, 0, 0, 0)
-            b.fakes[1].receive("another", Writer().pack(stop))
+            b.fakes[1].receive("another", Writer().pack(stop, 255))
         b.values.clear()
         await asyncio.sleep(6.0)
         assert {"position", "attitude", "battery"} <= set(b.values)

@@ -188,7 +188,7 @@ def test_the_watchdog_tells_what_is_and_what_must_be():
     assert asyncio.run(watchdog.seconds(2.0)) == 2.0
     settings = asyncio.run(watchdog.settings())
     assert {s.name: (s.present, s.wanted) for s in settings} == {
-        "FS_GCS_ENABLE": (0, 5), "FS_GCS_TIMEOUT": (5, 2), "SYSID_MYGCS": (1, 255), "GUID_TIMEOUT": (3, 2),
+        "FS_GCS_ENABLE": (0, 5), "FS_GCS_TIMEOUT": (5, 2), "SYSID_MYGCS": (1, 128), "GUID_TIMEOUT": (3, 2),
         "FS_OPTIONS": (1, 9),
     }  # fmt: skip
     assert vehicle.values == {"gcsFailsafe": False}

@@ -117,14 +117,20 @@ def test_a_copter_does_by_itself_what_its_safe_state_is(bench, state, action):
 def test_times_that_are_short_enough_are_right_as_they_are(bench):
     b = bench(ttl=2.0, waivers=(), set_up=False)
     b.autopilot.parameters.update(
-        {"FS_GCS_TIMEOUT": 3, "GUID_TIMEOUT": 1, "FS_GCS_ENABLE": 5, "FS_OPTIONS": 8}
+        {
+            "FS_GCS_TIMEOUT": 2,
+            "GUID_TIMEOUT": 1,
+            "FS_GCS_ENABLE": 5,
+            "FS_OPTIONS": 8,
+            "MAV_GCS_SYSID": 128,
+        }
     )
     b.run(lambda fc: asyncio.sleep(0.1))
 
 
 @pytest.mark.parametrize(
     ("flavour", "kind", "least"),
-    [("ardupilot", "copter", 2), ("ardupilot", "rover", 3), ("px4", "copter", 7)],
+    [("ardupilot", "copter", 2), ("ardupilot", "rover", 3)],
 )
 def test_a_shorter_time_to_live_than_the_autopilot_can_keep_needs_a_waiver(bench, flavour, kind, least):
     def opened(ttl):
@@ -138,19 +144,45 @@ def test_a_shorter_time_to_live_than_the_autopilot_can_keep_needs_a_waiver(bench
     assert "waivers: [device_watchdog]" in error.value.reason
 
 
+@pytest.mark.parametrize(("waived", "seconds"), [((), 1.0), (("autonomous_motion",), 7.0)])
+def test_a_px4_that_moves_by_setpoints_alone_needs_no_waiver_of_its_watchdog(bench, waived, seconds):
+    b = bench(flavour="px4", ttl=0.5, waivers=(*waived, "device_watchdog"))
+
+    async def story(fc):
+        return await fc.watchdog.seconds(1.0)
+
+    assert b.run(story) == seconds
+    if not waived:
+        bench(flavour="px4", ttl=0.5, waivers=()).run(lambda fc: asyncio.sleep(0.1))
+
+
 @pytest.mark.parametrize(
-    ("ttl", "hover", "lost"), [(0.5, 0.0, 5), (3.5, 0.0, 5), (4.25, 1.5, 5), (6.0, 5.0, 5), (8.75, 5.0, 10)]
+    ("ttl", "setpoints", "lost"),
+    [(0.1, 0.25, 5), (0.5, 1.0, 5), (4.0, 1.0, 5), (6.0, 1.0, 10), (7.0, 1.0, 10)],
 )
-def test_px4_counts_until_it_notices_and_the_hover_before_it_acts(bench, ttl, hover, lost):
-    b = bench(flavour="px4", ttl=ttl, set_up=False)
+@pytest.mark.parametrize("state", ["land", "hold", "return"])
+def test_px4_acts_at_once_when_setpoints_end_and_lets_a_pilot_take_over(bench, state, ttl, setpoints, lost):
+    b = bench(flavour="px4", ttl=ttl, safe_state=state, set_up=False)
     b.run(set_up, opened=False)
-    assert read(b, "COM_FAIL_ACT_T", "COM_DL_LOSS_T", "COM_DLL_EXCEPT") == [hover, lost, 0]
+    assert read(b, "COM_FAIL_ACT_T", "COM_OF_LOSS_T", "COM_DL_LOSS_T") == [0, setpoints, lost]
+    assert read(b, "COM_RC_OVERRIDE", "COM_DLL_EXCEPT") == [3, 0]
+    assert (
+        read(b, "COM_OBL_RC_ACT", "NAV_DLL_ACT") == {"land": [4, 3], "hold": [5, 1], "return": [3, 2]}[state]
+    )
 
 
-def test_a_px4_that_holds_does_so_as_soon_as_it_notices(bench):
-    b = bench(flavour="px4", ttl=3.5, waivers=(), safe_state="hold", set_up=False)
+def test_sticks_that_take_over_already_stay_as_their_owner_has_them(bench):
+    b = bench(flavour="px4", set_up=False)
+    b.autopilot.parameters["COM_RC_OVERRIDE"] = 2
     b.run(set_up, opened=False)
-    assert read(b, "COM_FAIL_ACT_T", "COM_DL_LOSS_T", "NAV_DLL_ACT") == [5, 5, 1]
+    assert read(b, "COM_RC_OVERRIDE") == [2]
+
+
+def test_an_ardupilot_is_set_up_for_its_own_station_and_goes_on_with_no_mission(bench):
+    b = bench(set_up=False, ttl=9.0)
+    b.autopilot.parameters.update({"FS_OPTIONS": 2 | 16, "MAV_GCS_SYSID_HI": 255})
+    b.run(set_up, opened=False)
+    assert read(b, "MAV_GCS_SYSID", "MAV_GCS_SYSID_HI", "FS_OPTIONS", "FS_GCS_TIMEOUT") == [128, 0, 24, 2]
 
 
 def test_a_rover_stops(bench):
@@ -223,7 +255,7 @@ def test_an_older_name_of_a_parameter_is_found(bench):
         loop.call_later(1.0, lambda: b.links[0].on_data(Writer(1, 1).pack(older)))
         return [str(s) for s in await fc.settings() if "GCS" in s.name]
 
-    assert "SYSID_MYGCS is 1 and must be 255" in b.run(mission, opened=False)
+    assert "SYSID_MYGCS is 1 and must be 128" in b.run(mission, opened=False)
 
 
 def test_a_failsafe_that_somebody_has_changed_since_is_found_before_arming(bench):
@@ -242,7 +274,7 @@ def test_a_failsafe_that_somebody_has_changed_since_is_found_before_arming(bench
     assert written(b) == []
 
 
-@pytest.mark.parametrize(("flavour", "ttl", "within"), [("ardupilot", 1.0, 3.5), ("px4", 3.5, 8.5)])
+@pytest.mark.parametrize(("flavour", "ttl", "within"), [("ardupilot", 1.0, 3.0), ("px4", 0.5, 2.0)])
 def test_when_we_are_quiet_the_autopilot_acts_by_itself(bench, flavour, ttl, within):
     b = bench(flavour=flavour, ttl=ttl, waivers=())
 

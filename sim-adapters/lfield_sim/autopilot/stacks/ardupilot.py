@@ -56,6 +56,7 @@ COPTER_FLAVOUR = Flavour(
         cleared="GCS Failsafe Cleared",
         options="FS_OPTIONS",
         station="MAV_GCS_SYSID",
+        stations_to="MAV_GCS_SYSID_HI",
         goes_on="GCS Failsafe - Continuing Landing",
         forbids=True,
         refusal="GCS failsafe on",
@@ -220,6 +221,7 @@ COMMON: Mapping[str, float] = {
     "FS_GCS_ENABLE": 0,
     "FS_GCS_TIMEOUT": 5,
     "MAV_GCS_SYSID": 255,
+    "MAV_GCS_SYSID_HI": 0,
     "MIS_TOTAL": 0,
     "RALLY_TOTAL": 0,
 }

@@ -147,6 +147,7 @@ COMMON: Mapping[str, float] = {
     "COM_LOW_BAT_ACT": _WARN,
     "COM_OBL_RC_ACT": 0,
     "COM_OF_LOSS_T": 1.0,
+    "COM_RC_OVERRIDE": 1,
     "GF_ACTION": 2,
     "GF_MAX_HOR_DIST": 0.0,
     "GF_MAX_VER_DIST": 0.0,

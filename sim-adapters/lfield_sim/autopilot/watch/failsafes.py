@@ -43,9 +43,15 @@ class Failsafes:
         self.fences = Fences(pilot)
 
     def heartbeat(self, system: int, *, station: bool) -> None:
-        """A heartbeat of another system; ArduPilot counts one system's, PX4 every ground station's."""
+        """A heartbeat of another system; ArduPilot counts one system's, PX4 every ground station's.
+
+        The link that it came on does not matter to either.
+        """
         rule = self._rules.gcs
-        if not (system == int(self._pilot.value(rule.station)) if rule.station else station):
+        if rule.station:
+            first, last = (int(self._pilot.value(name)) for name in (rule.station, rule.stations_to))
+            station = first <= system <= max(first, last)
+        if not station:
             return
         self.gcs_seen = self._pilot.station_at = self._pilot.now
         if self.gcs_lost:
