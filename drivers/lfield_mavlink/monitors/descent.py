@@ -73,7 +73,7 @@ class DescentMonitor:
     def __init__(self) -> None:
         self.falling = self.crashed = ""
         self._expected, self._fastest = DESCENT, FASTEST
-        # The lowest height that the present motion may have (None before a sample), and the highest it has had.
+        # The lowest height that this motion may have (None before a sample), and the highest that it has had.
         self._floor: float | None = None
         self._top = -math.inf
         self._last: tuple[float, float, float] | None = None

@@ -32,8 +32,8 @@ NEEDS_NONE = ("land", "arm", "disarm", "mode ")
 ABOVE_SEA = (dialect.MAV_FRAME_GLOBAL, dialect.MAV_FRAME_GLOBAL_INT)
 #: type_mask: no place over ground, no height.
 NO_PLACE, NO_HEIGHT = 0x3, 0x4
-#: m/s: the autopilot's own speeds of descent. Each has the names of one parameter by version, with how many of
-#: its unit are 1 m/s; https://ardupilot.org/copter/docs/parameters.html, and PX4's parameter reference.
+#: m/s: the autopilot's own speeds of descent. Each has the names of one parameter by version, with how many
+#: of its unit are 1 m/s; https://ardupilot.org/copter/docs/parameters.html, and PX4's parameter reference.
 DESCENTS: Mapping[tuple[int, str], tuple[Mapping[str, float], ...]] = {
     (ARDUPILOT, "copter"): (
         {"WP_SPD_DN": 1.0, "WPNAV_SPEED_DN": 100.0},
@@ -46,8 +46,8 @@ DESCENTS: Mapping[tuple[int, str], tuple[Mapping[str, float], ...]] = {
 class FlightMonitor:
     """Watches one vehicle.
 
-    `others` names who else has just commanded it, as far as that is heard; `is_ours` says whether this program
-    chose its mode.
+    `others` names who else has just commanded it, as far as that is heard; `is_ours` says whether this
+    program chose its mode.
     """
 
     def __init__(self, vehicle: Contact, parameters: Parameters) -> None:
@@ -84,6 +84,11 @@ class FlightMonitor:
     def crashed(self) -> str:
         """Why it must not fly before a person has seen it, '' while it may."""
         return self._descent.crashed
+
+    @property
+    def falling(self) -> str:
+        """Why it falls, '' while it does not."""
+        return self._descent.falling
 
     @property
     def lost_position(self) -> str:

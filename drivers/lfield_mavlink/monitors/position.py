@@ -15,8 +15,9 @@ FIX = 3
 LASTS = 0.4
 #: Seconds for which a receiver's word counts.
 OLD = 4.0
-#: EKF_STATUS_REPORT and ESTIMATOR_STATUS: an absolute horizontal position, and one that is held constant.
-POSITION, CONSTANT = 0x10, 0x80
+#: EKF_STATUS_REPORT and ESTIMATOR_STATUS: an absolute horizontal position. PX4 has the bit of a constant one
+#: whenever it stands.
+POSITION = 0x10
 
 
 class PositionMonitor:
@@ -26,8 +27,7 @@ class PositionMonitor:
         self._fixes: dict[int, tuple[int, float]] = {}
         self._had_fix = False
         self._lost_at = math.inf
-        self._estimates: bool | None = None
-        self._estimate_lost = False
+        self._estimated = self._estimate_lost = False
 
     def on_fix(self, receiver: int, fix: int, now: float) -> None:
         """A receiver tells its GPS_FIX_TYPE."""
@@ -40,15 +40,14 @@ class PositionMonitor:
 
     def on_estimate(self, flags: int) -> None:
         """The estimator tells its flags."""
-        knows = bool(flags & POSITION) and not flags & CONSTANT
-        self._estimate_lost = self._estimates is not None and not knows
-        if knows:
-            self._estimates = True
+        knows = bool(flags & POSITION)
+        self._estimate_lost = self._estimated and not knows
+        self._estimated = self._estimated or knows
 
     def restart(self) -> None:
         """The autopilot was switched on anew, or is on the ground: nothing is lost that was not found."""
         self._had_fix, self._lost_at = False, math.inf
-        self._estimates, self._estimate_lost = None, False
+        self._estimated = self._estimate_lost = False
 
     def lost(self, now: float) -> str:
         """Why it does not know where it is, in words; '' while it does, or never told."""
