@@ -164,10 +164,9 @@ class MavlinkDriver(Driver):
 
     async def _beat(self) -> None:
         """Be heard as the ground station of each vehicle on every link, as their failsafes expect."""
-        beats = [(beat(vehicle.system), vehicle.station) for vehicle in self._vehicles.values()]
+        beats = [(vehicle, beat(vehicle.system)) for vehicle in self._vehicles.values()]
         while True:
-            if not self._quieted:
-                for port in self._ports:
-                    for message, station in beats:
-                        port.send(message, station)
+            for vehicle, message in () if self._quieted else beats:
+                for port in self._ports if vehicle.may_beat else ():
+                    port.send(message, vehicle.station)
             await asyncio.sleep(HEARTBEAT)

@@ -14,6 +14,7 @@ from lfield_mavlink.frames import frame_of
 from lfield_mavlink.limit_keeper import LimitKeeper
 from lfield_mavlink.limits import Limits
 from lfield_mavlink.link.ports import LinkCounts
+from lfield_mavlink.modes import AUTONOMOUS
 from lfield_mavlink.nature import Nature
 from lfield_mavlink.parts.fences import Fences, Rally
 from lfield_mavlink.parts.flight import Flight
@@ -110,6 +111,8 @@ class MavlinkVehicle(Contact):
             )
         self.check_identity()
         await self._streams.prepare()
+        if self.profile.px4 and (reason := self.binding.reasons.get(AUTONOMOUS)):
+            self.note(f"its own motions go on when this computer dies, as its binding waives: {reason}")
         return f"{self.profile.stack} {self.profile.kind}, system {self.system}"
 
     def _touched(self) -> bool:
@@ -175,6 +178,7 @@ class MavlinkVehicle(Contact):
 
     async def _make_safe(self, state: str) -> None:
         await self._flight.make_safe(state)
+        self.take_charge()
 
     def _frame(self) -> Frame | None:
         placement = self.binding.frame
@@ -196,6 +200,7 @@ class MavlinkVehicle(Contact):
     async def do_release(self) -> None:
         """Whatever mode it is in, the program takes the vehicle back."""
         self.motion.release()
+        self.take_charge()
 
     def stop_setpoints(self) -> None:
         """Send no setpoint of a stream any more."""

@@ -34,10 +34,10 @@ class DeviceBinding(msgspec.Struct, frozen=True, kw_only=True):
     `without_policy` says what becomes of it when no coordinator that used it is heard of any more, None
     for nothing. `limits` are in the SI units that the manifest names, `options` are the driver's own
     (`system`, `kind`). An absent limit does not limit. `waivers` name the protections that whoever wrote
-    the binding has knowingly given up. `frame` says where its agent is in the team's frame, None where
-    nobody has said that. `sim` are faults and conditions of its fake, `NAME=VALUE`, for simulated
-    missions. `type` is the device type in L. A pure sensor has no `safe_state`, and nothing of its `ttl`
-    and `rest_within` applies.
+    the binding has knowingly given up, `reasons` why, by their names. `frame` says where its agent is in
+    the team's frame, None where nobody has said that. `sim` are faults and conditions of its fake,
+    `NAME=VALUE`, for simulated missions. `type` is the device type in L. A pure sensor has no
+    `safe_state`, and nothing of its `ttl` and `rest_within` applies.
     """
 
     agent: str
@@ -51,6 +51,7 @@ class DeviceBinding(msgspec.Struct, frozen=True, kw_only=True):
     limits: dict[str, float] = {}
     options: dict[str, OptionValue] = {}
     waivers: list[str] = []
+    reasons: dict[str, str] = {}
     without_policy: WithoutPolicy | None = None
     frame: Placement | None = None
     sim: list[str] = []

@@ -58,7 +58,8 @@ class Manifest:
     """A manifest file: the device type for L, and what its bindings may say.
 
     `fakes` are the options, by resource type of L or ANY, of a device that is simulated and bound nowhere.
-    `geographic` devices tell where on the Earth their own frame begins, once they know it.
+    `reasoned` waivers count only with a reason. `geographic` devices tell where on the Earth their own frame
+    begins, once they know it.
     """
 
     device: DeviceManifest
@@ -67,6 +68,7 @@ class Manifest:
     waivers: tuple[tuple[str, str], ...] = ()
     fakes: Mapping[str, Mapping[str, OptionValue]] = field(default_factory=dict)
     geographic: bool = False
+    reasoned: tuple[str, ...] = ()
 
     @property
     def has_places(self) -> bool:

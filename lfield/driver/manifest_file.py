@@ -11,6 +11,7 @@ limits:
   speed: {unit: rad/s, meaning: the fastest it may turn}
 waivers:                            # protections that a binding may give up by name, beside device_watchdog
   no_homing: it moves before it has been homed
+reasoned: [no_homing]               # those of them that a binding must give a reason for
 fakes:                              # options under --sim where no binding is, by the resource that has it
   Gripper: {id: 7}
   any: {id: 1}
@@ -95,6 +96,7 @@ def _manifest(node: Node, found: Diagnostics) -> Manifest:
     limits = tuple(_limit(name, fields) for name, fields in _named(top, "limits"))
     watchdog = ((WATCHDOG, "it has no watchdog of its own, or a slow one"),) if safe_states else ()
     waivers = (*watchdog, *_waivers(top))
+    reasoned = _reasoned(top, [name for name, _ in waivers])
     geographic = top.flag("geographic")
     fakes = {entry.key: _fake(fields, options) for entry, fields in top.section("fakes").entries()}
     instructions = [_instruction(name, fields) for name, fields in _named(top, "instructions")]
@@ -112,7 +114,7 @@ def _manifest(node: Node, found: Diagnostics) -> Manifest:
         safe_states=safe_states,
         meaning=meaning,
     )
-    return Manifest(device, options, limits, waivers, fakes, geographic)
+    return Manifest(device, options, limits, waivers, fakes, geographic, reasoned)
 
 
 def _check_safe(top: Fields, safe_states: Sequence[str], instructions: Sequence[Instruction]) -> None:
@@ -165,6 +167,15 @@ def _waivers(top: Fields) -> list[tuple[str, str]]:
     """The protections of this device that a binding may give up, and what that means."""
     section = top.section("waivers")
     return [(entry.key, section.text(entry.key)) for entry in section.named()]
+
+
+def _reasoned(top: Fields, waivers: Sequence[str]) -> tuple[str, ...]:
+    """The waivers that a binding must give a reason for."""
+    reasoned = top.texts("reasoned")
+    for name in reasoned:
+        if name not in waivers:
+            top.report("Y113", f"there is no waiver '{name}'", top.value_span("reasoned"))
+    return reasoned
 
 
 def _check_names_differ(top: Fields, instructions: set[str]) -> None:

@@ -16,7 +16,8 @@ agents:
         safe_state: land
         rest_within: 120                   # seconds for it to come to rest when its host stops
         without_policy: {after: 30, do: land}    # 30 s without a sign of any coordinator that used it
-        waivers: [device_watchdog]         # protections that are knowingly given up
+        waivers: [device_watchdog]         # protections that are knowingly given up; with a reason each,
+                                           # where one is needed: {autonomous_motion: "why"}
         sim: ["battery=0.5"]               # of its fake, with --sim: see `lfield sim fault`
 defaults: {heap: 1 MiB, call_depth: 500}   # limits of every agent
 unreachable_after: 10                      # seconds until UnreachableResourceException

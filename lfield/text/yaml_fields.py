@@ -108,6 +108,19 @@ class Fields:
                 self._wrong(key, "a list of texts", node)
         return tuple(values)
 
+    def reasoned(self, key: str) -> dict[str, str]:
+        """Names, each with a reason or '': `[name]`, `{name: reason}`, or a list with both."""
+        node, values = self.node(key), dict[str, str]()
+        for item in node.items if isinstance(node, Listing) else (node,) if node is not None else ():
+            if isinstance(item, Mapping):
+                section = Fields(item, self._found, f"'{key}'")
+                values |= {entry.key: section.text(entry.key) for entry in section.named()}
+            elif isinstance(item, Scalar) and isinstance(item.value, str) and item is not node:
+                values[item.value] = ""
+            elif not (isinstance(item, Scalar) and item.value is None and item is node):
+                self._wrong(key, "names, or names with a reason each", item)
+        return values
+
     def integers(self, key: str) -> tuple[int, ...]:
         """A list of whole numbers."""
         values = []

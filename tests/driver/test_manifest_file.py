@@ -65,6 +65,7 @@ safe_states: [brake]
 options:
   ids: {type: "int[]", default: []}
   key_file: {type: path, default: ""}
+reasoned: [no_homing]
 waivers:
   no_homing: it moves before it has been homed
 instructions:
@@ -82,6 +83,7 @@ def test_what_a_driver_for_a_team_needs_besides():
         ("key_file", "path", ""),
     ]
     assert [name for name, _ in manifest.waivers] == ["device_watchdog", "no_homing"]
+    assert manifest.reasoned == ("no_homing",)
     light = device.instruction("light")
     assert light is not None
     assert light.channel == "light"

@@ -23,6 +23,8 @@ LINK_LOST = 2.7
 SHOWS = 5.0
 #: How often a command is sent in that time.
 ATTEMPTS = 5
+#: Seconds from the opening after which a vehicle that was not heard yet hears its station all the same.
+UNHEARD = 3.0
 #: Seconds to wait for a text that explains a refusal.
 EXPLAINS = 0.3
 #: Seconds for a state to show that the first copy of a command was taken, when the second was refused.
@@ -63,7 +65,9 @@ class Contact(Device):
         self._stack: str = binding.option("autopilot")
         self.exchange = Exchange(self.system, self.station, send, lambda: self.silence <= LINK_LOST)
         self.texts = Texts()
-        self._heard_at = -math.inf
+        self._heard_at, self._opened_at = -math.inf, clock.monotonic()
+        # Whether this computer has it: what was in use when it was found is nobody's until somebody acts.
+        self._has_charge = False
         self._news = asyncio.Event()
         self._handlers: defaultdict[int, list[Handler]] = defaultdict(list)
         self._expected: dict[asyncio.Future[Any], Callable[[Any], bool]] = {}
@@ -100,6 +104,22 @@ class Contact(Device):
         """Raise DeviceError when the vehicle is not heard any more."""
         if self.silence > LINK_LOST:
             raise self.error(f"nothing heard for {self.silence:.1f} s; the link is lost", timeout=True)
+
+    def take_charge(self) -> None:
+        """From now on it is this computer's: heartbeats of its station keep its failsafe content."""
+        self._has_charge = True
+
+    @property
+    def may_beat(self) -> bool:
+        """Whether its station is to be heard.
+
+        One that is armed when it is found was left by somebody: a guard that has died, perhaps. Until this
+        computer commands it, its own failsafe must be able to act. A silent one may wait to be spoken to.
+        """
+        if self.state.heard is None:
+            return self.clock.monotonic() - self._opened_at > UNHEARD
+        self._has_charge = self._has_charge or not self.state.armed
+        return self._has_charge
 
     def check_station(self, what: str) -> None:
         """Raise DeviceError when somebody else has the id of its station."""

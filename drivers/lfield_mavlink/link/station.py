@@ -66,4 +66,5 @@ def is_echo(message: Any, system: int) -> bool:
 def why_not_alone(message: Any) -> str:
     """That somebody else has the id of a station, of whom this heartbeat is."""
     who = f"system {message.get_srcSystem()}, component {message.get_srcComponent()}"
-    return f"{who} on its links has the id of its station: its failsafe would not notice when this computer dies; {_CHOOSE}"
+    why = "its failsafe would not notice when this computer dies"
+    return f"{who} on its links has the id of its station: {why}; {_CHOOSE}"

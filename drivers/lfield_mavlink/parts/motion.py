@@ -104,6 +104,7 @@ class Motion:
             )
             raise self._vehicle.error(f"{what} refused: {why}. release() takes it back")
         self.monitor.check_begin(what)
+        self._vehicle.take_charge()
         self._began, self._stopped = self._vehicle.clock.monotonic(), ""
         self.speed.begin()
         self.brake()
@@ -257,8 +258,8 @@ class Motion:
     def _is_followed(self) -> bool:
         """Whether the moving target is still to be sent: not when somebody else has it, or it is off."""
         now = self._vehicle.clock.monotonic()
-        left = self._left_at is not None and now - self._left_at >= LEFT
-        return self._state.armed and not left and not self.monitor.foreign
+        stays = self._left_at is None or now - self._left_at < LEFT
+        return self._state.armed and stays and not self.monitor.foreign
 
     @property
     def _is_in_guided(self) -> bool:

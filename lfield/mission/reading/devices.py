@@ -59,6 +59,7 @@ class DevicesReader:
             fields.report("Y113", message, fields.value_span("driver"))
             return None
         fields.text("type", choices=(manifest.device.type,))
+        reasons = self._waivers(fields, manifest)
         binding = DeviceBinding(
             agent=agent,
             field=entry.key,
@@ -71,7 +72,8 @@ class DevicesReader:
             without_policy=_without_policy(fields, manifest),
             limits=self._device_limits(fields, manifest),
             options=self._options(fields, manifest),
-            waivers=self._waivers(fields, manifest),
+            waivers=list(reasons),
+            reasons={waiver: reason for waiver, reason in reasons.items() if reason},
             frame=placement,
             sim=list(fields.texts("sim")),
         )
@@ -87,15 +89,20 @@ class DevicesReader:
             fields.report("Y113", why, node.span)
         return text
 
-    def _waivers(self, fields: Fields, manifest: Manifest) -> list[str]:
+    def _waivers(self, fields: Fields, manifest: Manifest) -> dict[str, str]:
+        """The waivers, each with its reason, '' where none is given and none is needed."""
         known = [name for name, _ in manifest.waivers]
-        waivers = fields.texts("waivers")
-        for waiver in waivers:
+        waivers = fields.reasoned("waivers")
+        for waiver, reason in waivers.items():
             if waiver not in known:
                 hint = f"waivers of a {manifest.device.type}: {', '.join(known)}"
                 message = f"there is nothing called '{waiver}' to waive"
                 fields.report("Y113", message, fields.value_span("waivers"), hint)
-        return list(waivers)
+            elif waiver in manifest.reasoned and not reason.strip():
+                hint = f"write 'waivers: {{{waiver}: REASON}}': {dict(manifest.waivers)[waiver]}"
+                message = f"'{waiver}' is waived without a reason"
+                fields.report("Y110", message, fields.value_span("waivers"), hint)
+        return waivers
 
     def _device_limits(self, fields: Fields, manifest: Manifest) -> dict[str, float]:
         section = fields.section("limits")

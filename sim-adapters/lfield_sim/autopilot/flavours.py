@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from enum import Enum, IntEnum
 from typing import Protocol
 
+from lfield_sim.autopilot.body.estimate import BlindRule
 from lfield_sim.autopilot.ground import Wheels
 from lfield_sim.autopilot.vehicle import Limits
 
@@ -223,6 +224,7 @@ class Flavour:
     airborne_text       said when it is not disarmed because it flies
     idle_text           said when it disarms because nothing follows an arming
     drifts              home's height moves with GNSS while it flies
+    blind               what it does without GPS
     """
 
     name: str
@@ -272,6 +274,7 @@ class Flavour:
     no_mission: tuple[str, ...] = ()
     airborne_text: str = ""
     drifts: bool = False
+    blind: BlindRule = BlindRule(7.0)
 
 
 @dataclass(frozen=True, slots=True)

@@ -112,11 +112,12 @@ class GroundVehicle(Vehicle):
         return self._turns_back
 
     def _overshoot(self, wanted: float, along: float, dt: float) -> float:
-        """By how much it is faster than it should be: after speeding up to a velocity, for a while."""
-        if not isinstance(self.goal, Keep):
+        """By how much it is faster than it should be: after speeding up, for a while."""
+        if not isinstance(self.goal, Keep | Reach):
             self._excess = 0.0
         elif wanted - along > 0.5:
-            self._excess = self.limits.overshoot
+            to_place = min(self.limits.overshoot_share * wanted**2, self.limits.overshoot)
+            self._excess = self.limits.overshoot if isinstance(self.goal, Keep) else to_place
         elif along > wanted:
             self._excess = max(0.0, self._excess - SETTLES * dt)
         return self._excess

@@ -32,8 +32,8 @@ KEPT_TEXTS = 100
 class Pilot:
     """What is so, and what becomes of it when a mode is entered; it takes no commands (`Autopilot` does).
 
-    Faults: `refuse_arming` is a reason to refuse every arming, or ''; `gps_lost`, `motor_failed`; `warm_up`
-    are the seconds after a start in which it is not healthy yet.
+    Faults: `refuse_arming` is a reason to refuse every arming, or ''; `gps_lost`, `motor_failed`; `sticks` is
+    a pilot who moves them; `warm_up` are the seconds after a start in which it is not healthy yet.
 
     altitude             of the local frame's origin above mean sea level, m
     setpoint_at          when the last setpoint came; stream_at the first of those without a pause
@@ -58,6 +58,7 @@ class Pilot:
     refuse_arming: str = ""
     gps_lost: bool = False
     motor_failed: bool = False
+    sticks: bool = False
     warm_up: float = 0.0
     parameters: dict[str, float] = field(init=False)
     vehicle: Vehicle = field(init=False)

@@ -56,13 +56,14 @@ class Limits:
 
     `cruise` bounds the way to a place, `top` everything over ground; `braking` is how hard it slows down
     before a place. `eases` are the seconds in which a copter takes two thirds of what it still lacks of a
-    velocity, or loses two thirds of its speed where it holds.
-    `spool` are the seconds that motors need before they lift it, `awake` those from arming,
-    `lift` is how it leaves the ground (m/s2), `takeoff` how fast it climbs then. `nose_follows` turns the
-    nose along a velocity. `overshoot` is by how much (m/s) a rover shoots over a velocity before it settles
-    there; `rolls_out` is the share of its speed that it loses in a second when nothing drives it, 0 for one
-    that stands at once. What is flown is never quite what was asked: `goal_response` and
-    `velocity_response` say how a speed asked for comes out, for places and velocities.
+    velocity, or loses two thirds of its speed where it holds. `spool` are the seconds that motors need
+    before they lift it, `awake` those from arming, `lift` is how it leaves the ground (m/s2), `takeoff`
+    how fast it climbs then. `nose_follows` turns the nose along a velocity. `overshoot` is by how much
+    (m/s) a rover shoots over a velocity before it settles there; over its speed to a place it does so by
+    `overshoot_share` (s/m) of the square of that; `rolls_out` is the share of its speed that it loses in
+    a second when nothing drives it, 0 for one that stands at once. What is flown is never quite what was
+    asked: `goal_response` and `velocity_response` say how a speed asked for comes out, for places and
+    velocities.
     """
 
     cruise: float = 5.0
@@ -83,6 +84,7 @@ class Limits:
     nose_follows: bool = True
     eases: float = 0.0
     overshoot: float = 0.0
+    overshoot_share: float = 0.0
     rolls_out: float = 0.0
     goal_response: Response = Response()
     velocity_response: Response = Response()

@@ -48,6 +48,7 @@ STATES = {
     "refuse_arming": "refuse_arming",
     "gps_loss": "gps_lost",
     "motor_failure": "motor_failed",
+    "sticks": "sticks",
     "warm_up": "warm_up",
 }
 #: Where it is put: from the start the origin of its frame is there, later it is carried off.

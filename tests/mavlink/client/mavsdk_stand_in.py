@@ -99,9 +99,10 @@ class StandIn:
             ("NAV_DLL_ACT", 3),
             ("COM_OBL_RC_ACT", 4),
             ("COM_DLL_EXCEPT", 0),
+            ("COM_RC_OVERRIDE", 3),
         ):
             await self.parameters.provide_param_int(name, value)
-        for name, number in (("COM_OF_LOSS_T", 1.0), ("COM_FAIL_ACT_T", 5.0), ("MIS_TAKEOFF_ALT", 2.5)):
+        for name, number in (("COM_OF_LOSS_T", 1.0), ("COM_FAIL_ACT_T", 0.0), ("MIS_TAKEOFF_ALT", 2.5)):
             await self.parameters.provide_param_float(name, number)
 
     async def _publish(self) -> None:

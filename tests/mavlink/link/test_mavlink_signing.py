@@ -176,7 +176,7 @@ def test_what_is_sent_is_signed_and_new_each_time(key_file):
     vehicle.robust_parsing = True
     vehicle.signing.secret_key, vehicle.signing.timestamp = KEY_BYTES, 1000 * PER_SECOND
     for _ in range(3):
-        message = vehicle.parse_buffer(sends.pack(beat()))[0]
+        message = vehicle.parse_buffer(sends.pack(beat(), 128))[0]
         assert message.get_signed()
         assert message.get_link_id() == 7
     assert vehicle.signing.goodsig_count == 3

@@ -30,12 +30,15 @@ from lfield_mavlink.watchdog import Watchdog
 def binding(**limits: float) -> DeviceBinding:
     return DeviceBinding(
         agent="a", field="fc", type="Mavlink", driver="mavlink", endpoint="x", safe_state="land",
-        ttl=1.0, limits=limits, options={"tolerance": 0.5},
+        ttl=1.0, limits=limits, options={"tolerance": 0.5, "system": 1, "station": 0},
     )  # fmt: skip
 
 
 class StandIn:
     """As much of a Contact as parts use; what is asked for is kept, and accepted unless it is `refused`."""
+
+    def take_charge(self) -> None:
+        """It is ours."""
 
     def __init__(self, autopilot: int = ARDUPILOT) -> None:
         self.clock, self.system, self.binding = ManualClock(), 1, binding()

@@ -158,7 +158,7 @@ def test_a_px4_that_moves_by_setpoints_alone_needs_no_waiver_of_its_watchdog(ben
 
 @pytest.mark.parametrize(
     ("ttl", "setpoints", "lost"),
-    [(0.1, 0.25, 5), (0.5, 1.0, 5), (4.0, 1.0, 5), (6.0, 1.0, 10), (7.0, 1.0, 10)],
+    [(0.1, 0.25, 5), (0.5, 1.0, 5), (4.0, 1.0, 6), (7.0, 1.0, 10)],
 )
 @pytest.mark.parametrize("state", ["land", "hold", "return"])
 def test_px4_acts_at_once_when_setpoints_end_and_lets_a_pilot_take_over(bench, state, ttl, setpoints, lost):

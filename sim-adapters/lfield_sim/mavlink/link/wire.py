@@ -19,6 +19,7 @@ KNOWN = (
     Fault("refuse_arming", "", "a reason to refuse every arming"),
     Fault("gps_loss", False, "no position"),
     Fault("motor_failure", False, "a motor is dead"),
+    Fault("sticks", False, "a pilot moves the sticks of a transmitter"),
     Fault("battery", 1.0, "charge, set once; it drains on from there", 0.0, 1.0),
     Fault("wind", 0.0, "m/s of steady wind", 0.0, 40.0),
     Fault("wind_from", 0.0, "where it comes from, rad clockwise from north", -math.tau, math.tau),

@@ -1,7 +1,7 @@
 """What an estimator makes of its sensors when they fail: a drift without GPS, and the words for a glitch.
 
-By gauntlet-a, gauntlet-b and facts-3 (2, 3, 4, 20): without GPS an autopilot goes on as before for some seconds, and
-tells a position all the while. Pure: `step` moves time.
+By gauntlet-a, gauntlet-b and facts-3 (2, 3, 4, 20): without GPS an autopilot goes on as before for some seconds,
+and tells a position all the while. Pure: `step` moves time.
 """
 
 from __future__ import annotations
@@ -30,7 +30,11 @@ class BlindRule(NamedTuple):
 
 
 #: Seconds from a glitch to each text of an ArduCopter, and from its end to the last one.
-GLITCH_TEXTS = ((0.4, "EKF3 lane switch 1"), (0.4, "EKF primary changed:1"), (1.3, "GPS Glitch or Compass error"))
+GLITCH_TEXTS = (
+    (0.4, "EKF3 lane switch 1"),
+    (0.4, "EKF primary changed:1"),
+    (1.3, "GPS Glitch or Compass error"),
+)
 GLITCH_ENDS, GLITCH_CLEARED = 6.0, "Glitch cleared"
 #: Metres of a glitch that are noticed.
 GLITCH = 10.0

@@ -1,0 +1,293 @@
+"""A station of its own for each vehicle, and what an autopilot does when this computer dies."""
+
+from __future__ import annotations
+
+import asyncio
+
+import pytest
+
+from lfield.errors import DeviceError
+from lfield.testing.driver_bench import bind
+from lfield_mavlink import PLUGIN
+from lfield_mavlink.link.dialect import Reader, dialect
+from lfield_mavlink.link.station import beat, check_stations, station_of
+from lfield_sim.mavlink.link.codec import Writer
+
+#: QGroundControl, by default.
+QGC = (255, 190)
+#: Seconds of the vehicle's own clock from the death of host and guard to the mode of the failsafe.
+BOUNDS = {("ardupilot", "copter"): 3.0, ("ardupilot", "rover"): 4.0, ("px4", "copter"): 2.0}
+BOUNDS |= {("px4", "rover"): 2.0}
+SAFE = {
+    ("ardupilot", "copter"): {"land": "LAND", "hold": "BRAKE", "return": "RTL"},
+    ("ardupilot", "rover"): {"land": "HOLD", "hold": "HOLD", "return": "RTL"},
+    ("px4", "copter"): {"land": "AUTO.LAND", "hold": "AUTO.LOITER", "return": "AUTO.RTL"},
+    ("px4", "rover"): {"land": "AUTO.LAND", "hold": "AUTO.LOITER", "return": "AUTO.RTL"},
+}
+
+
+async def beats(b, system, component, kind=None):
+    """Heartbeats of somebody else on another link of the vehicle, once a second."""
+    packer = Writer(system, component)
+    kind = dialect.MAV_TYPE_GCS if kind is None else kind
+    heartbeat = dialect.MAVLink_heartbeat_message(kind, dialect.MAV_AUTOPILOT_INVALID, 0, 0, 4, 3)
+    while True:
+        for fake in b.fakes.values():
+            fake.receive("another link", packer.pack(heartbeat))
+        await asyncio.sleep(1.0)
+
+
+async def go(b, fc, way, flies):
+    """Bring it under way, by an instruction that goes on."""
+    down = -8.0 if flies else 0.0
+    await fc.execute("arm", [])
+    if flies:
+        await fc.execute("takeoff", [8.0])
+    if way == "goTo":
+        return asyncio.create_task(fc.execute("goTo", [200.0, 0.0, down]))
+    if way == "hover":
+        await fc.execute("goTo", [3.0, 0.0, down])
+        return asyncio.create_task(asyncio.sleep(0.0))
+    if way == "orbit":
+        return asyncio.create_task(fc.execute("orbit", [10.0, 0.0, down, 10.0, 2.0, 9.0]))
+
+    async def on():
+        while True:
+            await fc.execute("setVelocity", [1.0, 0.0, 0.0])
+            await asyncio.sleep(0.2)
+
+    return asyncio.create_task(on())
+
+
+@pytest.mark.few(12)
+@pytest.mark.parametrize("station", [False, True], ids=["alone", "beside QGroundControl"])
+@pytest.mark.parametrize("state", ["land", "hold", "return"])
+@pytest.mark.parametrize("way", ["goTo", "velocity", "hover", "orbit"])
+@pytest.mark.parametrize(("flavour", "kind"), BOUNDS)
+def test_it_is_safe_in_time_when_host_and_guard_are_dead(bench, flavour, kind, way, state, station):
+    if (flavour, kind) == ("px4", "rover") and way in ("orbit", "hover"):
+        pytest.skip("it has no orbit, and stands in the mode for standing")
+    b = bench(flavour=flavour, kind=kind, safe_state=state, waivers=("device_watchdog",))
+    bound, mode = BOUNDS[flavour, kind], SAFE[flavour, kind][state]
+
+    async def story(fc):
+        other = asyncio.create_task(beats(b, *QGC)) if station else None
+        under_way = await go(b, fc, way, kind == "copter")
+        await asyncio.sleep(4.0)
+        assert b.autopilot.mode == fc.profile.guided
+        b.cut, died = True, b.autopilot.now
+        under_way.cancel()
+        while b.autopilot.mode != mode:
+            assert b.autopilot.now - died < bound
+            await asyncio.sleep(0.02)
+        await asyncio.sleep(5.0)
+        assert b.autopilot.mode in (mode, "AUTO.LOITER") or not b.autopilot.armed
+        if other is not None:
+            other.cancel()
+        await asyncio.gather(under_way, return_exceptions=True)
+
+    b.run(story)
+
+
+def test_an_ardupilot_flies_no_mission_on_when_host_and_guard_are_dead(bench):
+    b = bench()
+
+    async def story(fc):
+        other = asyncio.create_task(beats(b, *QGC))
+        await fc.execute("arm", [])
+        await fc.execute("takeoff", [8.0])
+        latitude, longitude, _ = b.values["globalPosition"]
+        await fc.execute("uploadMission", [[latitude + 2e-3, longitude, 8.0]])
+        await fc.execute("startMission", [])
+        await asyncio.sleep(4.0)
+        b.cut, died = True, b.autopilot.now
+        while b.autopilot.mode != "LAND":
+            assert b.autopilot.now - died < 3.0
+            await asyncio.sleep(0.02)
+        other.cancel()
+
+    b.run(story)
+
+
+@pytest.mark.parametrize(("flavour", "kind"), BOUNDS)
+def test_a_guard_that_comes_back_does_not_hold_up_the_failsafe(bench, flavour, kind):
+    """It is heard as a station only once the vehicle is in its safe state: finding all out takes a while."""
+    b = bench(flavour=flavour, kind=kind, waivers=("device_watchdog",))
+    bound, mode = BOUNDS[flavour, kind], SAFE[flavour, kind]["land"]
+
+    async def story(fc):
+        other = asyncio.create_task(beats(b, *QGC))
+        under_way = await go(b, fc, "goTo", kind == "copter")
+        await asyncio.sleep(4.0)
+        b.cut, died = True, b.autopilot.now
+        under_way.cancel()
+        await asyncio.gather(under_way, return_exceptions=True)
+        await asyncio.sleep(0.8)
+        again = fc.__class__(
+            fc.binding, fc.manifest, fc.clock, b.driver.reports, lambda message: None, why_silent=lambda: ""
+        )
+        assert not again.may_beat
+        for armed in (True, False):
+            again.state.heard, again.state.armed = 1.0, armed
+            assert again.may_beat is not armed
+        while b.autopilot.mode != mode:
+            assert b.autopilot.now - died < bound
+            await asyncio.sleep(0.02)
+        other.cancel()
+
+    b.run(story)
+
+
+def test_what_is_armed_when_it_is_found_hears_its_station_once_somebody_here_has_it(bench):
+    b = bench(safe_state="hold")
+    b.autopilot.armed = True
+    b.autopilot.vehicle.place = (0.0, 0.0, -8.0)
+    b.autopilot.enter("GUIDED")
+    reader = Reader()
+
+    def heartbeats():
+        sent = [m.get_msgId() for data in b.sent for m in reader.feed(data)]
+        b.sent.clear()
+        return sent.count(dialect.MAVLINK_MSG_ID_HEARTBEAT)
+
+    async def story(fc):
+        await asyncio.sleep(1.0)
+        assert heartbeats() == 0
+        fc.guard_restarted(False)
+        await asyncio.sleep(0.5)
+        assert heartbeats() == 0
+        await fc.make_safe()
+        await asyncio.sleep(1.0)
+        assert heartbeats() >= 4
+
+    b.run(story)
+
+
+@pytest.mark.parametrize("flavour", ["ardupilot", "px4"])
+def test_the_fakes_fly_on_beside_a_station_as_real_ones_did(bench, flavour):
+    """Facts 1 and 16: that is why a station of its own, and setpoints, are needed."""
+    b = bench(flavour=flavour)
+
+    async def story(fc):
+        other = asyncio.create_task(beats(b, *QGC))
+        await fc.execute("arm", [])
+        await fc.execute("takeoff", [8.0])
+        latitude, longitude, _ = b.values["globalPosition"]
+        await fc.execute("uploadMission", [[latitude + 2e-3, longitude, 8.0]])
+        await fc.execute("startMission", [])
+        b.autopilot.parameters["MAV_GCS_SYSID"] = 255
+        b.cut, mode = True, b.autopilot.mode
+        await asyncio.sleep(15.0)
+        assert b.autopilot.mode == mode
+        assert b.autopilot.vehicle.place[0] > 30.0
+        other.cancel()
+
+    b.run(story)
+
+
+# -- ids ------------------------------------------------------------------------------------------------
+
+
+def bound(system, station=0, agent=""):
+    options = {"system": system, "station": station}
+    return bind(PLUGIN, agent=agent or f"a{system}", field="fc", endpoint="udp:127.0.0.1:1", options=options)
+
+
+def test_stations_differ_and_none_is_a_vehicle_or_a_ground_station_of_others():
+    stations = {system: station_of(bound(system)) for system in range(1, 255)}
+    assert len(set(stations.values())) == 254
+    assert all(station not in (system, 255, 0) for system, station in stations.items())
+    assert (stations[1], stations[2], stations[254]) == (128, 129, 127)
+    assert station_of(bound(1, 77)) == 77
+
+
+@pytest.mark.parametrize(
+    ("bindings", "words"),
+    [
+        ([bound(1), bound(128)], "its station has the system id 128, which is that of a128.fc"),
+        ([bound(3, 3)], "its station has the system id 3, which is that of itself"),
+        ([bound(1, 200), bound(2, 200)], "system id 200, and so has that of a1.fc"),
+        ([bound(1), bound(2, 128)], "system id 128, and so has that of a1.fc"),
+    ],
+)
+def test_stations_that_could_be_taken_for_another_are_refused(bindings, words):
+    with pytest.raises(DeviceError, match=words) as refused:
+        check_stations(bindings)
+    assert "choose another by 'station: ID'" in refused.value.reason
+    check_stations([bound(1), bound(2), bound(3, 77)])
+
+
+def test_stations_that_collide_are_refused_at_opening(bench):
+    b = bench(systems=(1, 128))
+    with pytest.raises(DeviceError, match="its station has the system id 128"):
+        b.run(lambda *devices: asyncio.sleep(0.1))
+
+
+def test_each_vehicle_of_a_bus_hears_its_own_station_and_answers_it(bench):
+    b = bench(systems=(1, 2))
+
+    async def story(one, two):
+        for fc in (one, two):
+            await fc.execute("arm", [])
+            await fc.execute("takeoff", [5.0])
+
+    b.run(story)
+    reader = Reader()
+    sent = {(m.get_srcSystem(), getattr(m, "target_system", 0)) for data in b.sent for m in reader.feed(data)}
+    assert sent == {(128, 0), (128, 1), (129, 0), (129, 2)}
+
+
+@pytest.mark.parametrize(
+    ("component", "kind"), [(190, dialect.MAV_TYPE_GCS), (1, dialect.MAV_TYPE_QUADROTOR), (191, 6)]
+)
+def test_somebody_else_with_the_id_of_its_station_keeps_it_on_the_ground(bench, component, kind):
+    b = bench()
+
+    async def story(fc):
+        packer = Writer(128, component)
+        heartbeat = dialect.MAVLink_heartbeat_message(kind, dialect.MAV_AUTOPILOT_INVALID, 0, 0, 4, 3)
+        b.links[0].on_data(packer.pack(heartbeat))
+        with pytest.raises(DeviceError, match=f"arm refused: system 128, component {component} on its links"):
+            await fc.execute("arm", [])
+        assert not b.autopilot.armed
+
+    b.run(story)
+    assert len([note for note in b.notes if "has the id of its station" in note]) == 1
+
+
+def test_an_echo_of_its_own_station_and_other_stations_are_none(bench):
+    b = bench()
+
+    async def story(fc):
+        for packer, heartbeat in (
+            (Writer(128, 191), beat(1)),
+            (Writer(*QGC), dialect.MAVLink_heartbeat_message(dialect.MAV_TYPE_GCS, 8, 0, 0, 4, 3)),
+        ):
+            b.links[0].on_data(packer.pack(heartbeat))
+        await fc.execute("arm", [])
+
+    b.run(story)
+
+
+def test_it_is_not_armed_when_the_autopilots_station_is_another(bench):
+    b = bench()
+
+    async def story(fc):
+        b.autopilot.parameters.update(MAV_GCS_SYSID=255.0, MAV_GCS_SYSID_HI=255.0)
+        with pytest.raises(DeviceError, match="MAV_GCS_SYSID is 255 and must be 128, and 1 more"):
+            await fc.execute("arm", [])
+
+    b.run(story)
+
+
+def test_a_range_of_stations_counts_on_a_fake_as_on_a_real_one(bench):
+    b = bench()
+    failsafes, parameters = b.autopilot.failsafes, b.autopilot.parameters
+    for first, last, counting in ((128, 0, {128}), (200, 202, {200, 201, 202}), (200, 100, {200})):
+        parameters.update(MAV_GCS_SYSID=first, MAV_GCS_SYSID_HI=last)
+        heard = set()
+        for system in range(1, 256):
+            failsafes.gcs_seen = None
+            failsafes.heartbeat(system, station=True)
+            heard |= {system} if failsafes.gcs_seen is not None else set()
+        assert heard == counting
