@@ -187,6 +187,10 @@ class Warming:
     by_hand: float = 1.0
 
 
+#: Nothing comes of a lost GPS.
+SEES_ON = BlindRule(1e9)
+
+
 @dataclass(frozen=True, slots=True)
 class Flavour:
     """An autopilot: what its kinds of vehicles have in common.
@@ -274,7 +278,7 @@ class Flavour:
     no_mission: tuple[str, ...] = ()
     airborne_text: str = ""
     drifts: bool = False
-    blind: BlindRule = BlindRule(7.0)
+    blind: BlindRule = SEES_ON
 
 
 @dataclass(frozen=True, slots=True)

@@ -37,7 +37,9 @@ class Event(NamedTuple):
 
 
 def _message(kind: Any, fields: dict[str, Any]) -> Any:
-    given = {name: math.nan if fields.get(name, 0) is None else fields.get(name, 0) for name in kind.fieldnames}
+    given = {
+        name: math.nan if fields.get(name, 0) is None else fields.get(name, 0) for name in kind.fieldnames
+    }
     if "text" in given:
         given["text"] = str(given["text"]).encode("ascii", "replace")
     for name in ("q", "covariance"):
@@ -91,7 +93,9 @@ class Watched:
         #: What the monitors have found: when, and in which words.
         self.found: list[tuple[float, str]] = []
 
-    def play(self, start: float = -math.inf, end: float = math.inf, *, judged: bool = True) -> Iterator[Event]:
+    def play(
+        self, start: float = -math.inf, end: float = math.inf, *, judged: bool = True
+    ) -> Iterator[Event]:
         """Play it; each event is given after the monitors have had it."""
         for event in events(self.name):
             self.clock.advance(event.at - self.clock.monotonic())
@@ -114,7 +118,9 @@ class Watched:
         if mode != self._mode:
             self._mode = mode
             if mode == "goal":
-                self.monitor.on_order(Order(frozenset({state.mode}), target=lambda _: None, goal=self.goals[0]))
+                self.monitor.on_order(
+                    Order(frozenset({state.mode}), target=lambda _: None, goal=self.goals[0])
+                )
             else:
                 # What others want of the height is not known: it may go down.
                 self.monitor.on_mode(state.mode if self.goals else "")

@@ -84,7 +84,9 @@ def test_a_weak_motor_is_a_fall_long_before_the_ground():
 
 def test_motors_that_go_off_in_the_air_are_a_crash_before_the_ground():
     """It hit the ground at 11 m/s 1.3 s after; that it could be armed 0.1 s later is how it went on."""
-    found, watched = faulty("ap-copter.gauntlet-b", "forced disarm by a second station in the air", within=1.3)
+    found, watched = faulty(
+        "ap-copter.gauntlet-b", "forced disarm by a second station in the air", within=1.3
+    )
     ((at, words),) = found
     assert words.startswith("its motors went off in the air, ")
     assert at < 0.8

@@ -1,7 +1,7 @@
 """What an estimator makes of its sensors when they fail: a drift without GPS, and the words for a glitch.
 
-By gauntlet-a, gauntlet-b and facts-3 (2, 3, 4, 20): without GPS an autopilot goes on as before for some seconds,
-and tells a position all the while. Pure: `step` moves time.
+By gauntlet-a, gauntlet-b and facts-3 (2, 3, 4, 20): without GPS an autopilot goes on as before for some
+seconds, and tells a position all the while. Pure: `step` moves time.
 """
 
 from __future__ import annotations
@@ -56,8 +56,10 @@ class Estimate:
     _cleared: float = 0.0
     _sees: float = 0.0
 
-    def step(self, dt: float, *, gps_lost: bool, glitch: float, compass_failed: bool, talks: bool) -> list[str]:
-        """Let `dt` seconds pass; the texts that are due. `talks` is an ArduPilot, which tells its glitches."""
+    def step(
+        self, dt: float, *, gps_lost: bool, glitch: float, compass_failed: bool, talks: bool
+    ) -> list[str]:
+        """Let `dt` seconds pass; the texts that are due. `talks`: an ArduCopter tells its glitches."""
         self.compass_ill = self.compass_ill + dt if compass_failed else 0.0
         texts = self._see(dt, gps_lost=gps_lost)
         return texts + (self._glitch(dt, glitch) if talks else [])
