@@ -142,7 +142,7 @@ class Motion:
         """Where it comes to rest when it brakes now, in metres of home; None where that is not known."""
         place = self._state.position
         known = place is not None and self._state.home is not None and self._state.armed
-        known = known and not self.monitor.lost_position
+        known = known and not (self.monitor.lost_position or self.monitor.foreign)
         return stopping_place(place, self._state.velocity) if known and place is not None else None
 
     async def set_mode(self, name: str) -> None:
