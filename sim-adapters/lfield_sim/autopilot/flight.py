@@ -19,8 +19,8 @@ AT_GOAL = 0.3
 #: Of an ArduCopter's return: seconds until its climb begins, and that it takes to settle over home before its
 #: wait does; it is level there within so many m/s and m (f-fence-landing, f-fence-breach, i-home-moves).
 STOPS, SETTLES, LEVEL = 0.9, 0.8, 0.1
-#: The share of the power of one motor with which a copter holds its height; one at which it sinks, and its m/s
-#: then (gauntlet-b: 2.76 when it hit the ground); seconds until it says so (2.9 there).
+#: The share of the power of one motor with which a copter holds its height; one at which it sinks, and its
+#: m/s then (gauntlet-b: 2.76 when it hit the ground); seconds until it says so (2.9 there).
 HOLDS, WEAK, SAGS, TELLS = 0.8, 0.6, 2.9, 2.9
 #: Metres from home within which a return does not climb.
 NEAR_HOME = 1.0

@@ -103,9 +103,9 @@ def test_a_lost_gps_is_known_within_two_seconds_of_its_fix():
     watched, fix_lost = Watched("ap-copter.gauntlet-a", *PATROL), None
     for event in watched.play():
         message = event.message
-        if message is not None and message.get_type() == "GPS_RAW_INT" and watched.vehicle.state.armed:
-            if message.fix_type < 3 and fix_lost is None:
-                fix_lost = event.at
+        told = message is not None and message.get_type() == "GPS_RAW_INT" and watched.vehicle.state.armed
+        if told and message.fix_type < 3 and fix_lost is None:
+            fix_lost = event.at
         if fix_lost is not None and watched.monitor.lost_position:
             break
     assert event.at - fix_lost < 1.0

@@ -1,7 +1,7 @@
 """Where an autopilot is going, as it tells: POSITION_TARGET_LOCAL_NED 85 and POSITION_TARGET_GLOBAL_INT 87.
 
-ArduPilot tells the goal of GUIDED, wherever that came from; PX4 that of a mode of its own as 87, and its setpoint
-as 85, which are no numbers while it follows none (ap-rover.c-speed, px4-copter.c-speed).
+ArduPilot tells the goal of GUIDED, wherever that came from; PX4 that of a mode of its own as 87, and its
+setpoint as 85, which are no numbers while it follows none (ap-rover.c-speed, px4-copter.c-speed).
 """
 
 from __future__ import annotations
