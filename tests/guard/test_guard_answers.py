@@ -8,15 +8,29 @@ import pytest
 from thing_guard import Output, guard_of, known_thing
 
 from lfield.driver.binding import DeviceBinding
+from lfield.driver.contract import RELEASE
 from lfield.driver.device import Device
-from lfield.guard.messages import Call, Cancel, Done, Latched, Open, Refused, Safe, Snapshot, encode
+from lfield.guard.messages import (
+    Allow,
+    Call,
+    Cancel,
+    Done,
+    Latched,
+    LockedOut,
+    Open,
+    Refused,
+    Released,
+    Safe,
+    Snapshot,
+    encode,
+)
 from lfield.guard.shell import BACKLOG
 from lfield.guard.telemetry import RATE
 from lfield.manifest import Instruction, Quantity
 from lfield.simulate.time import JumpingLoop, LoopClock
 
 HEIGHT = Quantity("height", "real")
-NAMES = ("rise", "answer", "fail", "crash", "reject", "overshoot", "hover")
+NAMES = ("rise", "answer", "fail", "crash", "reject", "overshoot", "hover", "tumble")
 CALLS = tuple(Instruction(name, (), effect="actuate", blocking=True, cancel="leave") for name in NAMES)
 
 
@@ -51,9 +65,21 @@ class Lift(Device):
         self.breach("it is too high")
         await asyncio.sleep(9.0)
 
+    async def do_tumble(self):
+        self.publish(height=0.0)
+        self.lock_out("it crashed")
+        await asyncio.sleep(9.0)
+
     async def do_hover(self):
         self.publish(height=1.0)
         await asyncio.sleep(9.0)
+
+
+def _binding():
+    return DeviceBinding(
+        agent="alpha", field="thing", type="Thing", driver="thing", endpoint="here", safe_state="off",
+        ttl=0.5, limits={}, options={}, waivers=["device_watchdog"],
+    )  # fmt: skip
 
 
 def _written(*names, wait=0.0, then=(), unread=0):
@@ -61,15 +87,14 @@ def _written(*names, wait=0.0, then=(), unread=0):
 
     `unread` bytes lie in the pipe, which the host does not read.
     """
-    binding = DeviceBinding(
-        agent="alpha", field="thing", type="Thing", driver="thing", endpoint="here", safe_state="off",
-        ttl=0.5, limits={}, options={}, waivers=["device_watchdog"],
-    )  # fmt: skip
+    binding = _binding()
 
     async def story():
         output = Output()
         shell = guard_of(Lift, output)
-        shell.data_received(encode(Open([binding], "", 9.0, known_thing(*CALLS, telemetry=(HEIGHT,)))))
+        shell.data_received(
+            encode(Open([binding], "", 9.0, known_thing(*CALLS, RELEASE, telemetry=(HEIGHT,))))
+        )
         await asyncio.sleep(2 / RATE)
         output.writes.clear()
         for token, name in enumerate(names, 1):
@@ -131,3 +156,33 @@ def test_a_host_that_does_not_read_gets_the_telemetry_of_an_exception_all_the_sa
 
 def test_periodic_telemetry_waits_for_a_host_that_does_not_read_and_is_kept():
     assert _written("hover", unread=BACKLOG, wait=5 / RATE) == []
+
+
+def test_a_lock_out_is_kept_until_an_operator_ends_it():
+    now = LoopClock
+
+    async def story():
+        output = Output()
+        shell = guard_of(Lift, output)
+        shell.data_received(encode(Open([_binding()], "", 99.0, known_thing(*CALLS, telemetry=(HEIGHT,)))))
+        await asyncio.sleep(2 / RATE)
+        for token, name in enumerate(("tumble", "release", "rise"), 1):
+            sent = now().monotonic()
+            shell.data_received(encode(Call(token, "alpha.thing", name, [], sent, sent + 9.0)))
+            await asyncio.sleep(0.1)
+        before = len(output.told)
+        shell.data_received(encode(Allow()))
+        sent = now().monotonic()
+        shell.data_received(encode(Call(9, "alpha.thing", "release", [], sent, sent + 9.0)))
+        await asyncio.sleep(0.1)
+        await shell.close()
+        return output.told[:before], output.told[before:]
+
+    with asyncio.Runner(loop_factory=JumpingLoop) as runner:
+        told, after = runner.run(story())
+    assert LockedOut("alpha.thing", "it crashed") in told
+    refused = {message.token: message.reason for message in told if isinstance(message, Refused)}
+    assert refused.keys() == {1, 2, 3}
+    assert [token for token in refused if "estop --lift" in refused[token]] == [2, 3], refused
+    assert Released("alpha.thing") in after
+    assert Done(9, None) in after

@@ -275,7 +275,7 @@ class Contact(Device):
         end = self.clock.monotonic() + bound
         while not condition():
             left = end - self.clock.monotonic()
-            if left <= 1e-9:  # A rounding error of the clock is no time to wait for.
+            if left <= 0.0:
                 return False
             await self.next_news(left)
         return True

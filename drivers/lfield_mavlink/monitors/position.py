@@ -3,6 +3,9 @@
 An ArduCopter without GPS goes on for 8 s as if nothing had happened: mode, position and health are as before,
 only the fix is gone (gauntlet-a). Its estimator says so after 6 s (EKF_STATUS_REPORT), PX4's within 5 s
 (ESTIMATOR_STATUS). What has never had a fix knows its place by other means, and is not judged.
+
+A vehicle with two receivers is lost when neither has a fix. What is indoors from its start, or flies by a
+camera, tells no fix at all, or one that never was three-dimensional: its motions go on.
 """
 
 from __future__ import annotations

@@ -26,12 +26,15 @@ class TargetMonitor:
     def __init__(self, *, level: bool = True) -> None:
         self._level = level
         self._sent: deque[tuple[float, Vector]] = deque()
+        # Targets of before, until one of these has been seen: what its fence forbids it ignores.
+        self._earlier: list[Vector] = []
         self._began = math.inf
         self._seen = False
         self._strange: tuple[float, Vector] | None = None
 
     def clear(self) -> None:
-        """What it follows from now on is no target that was sent."""
+        """What it follows from now on is no target that was sent; it may still tell the last ones."""
+        self._earlier = [place for _, place in self._sent] or self._earlier
         self._sent.clear()
         self._began, self._seen, self._strange = math.inf, False, None
 
@@ -44,7 +47,7 @@ class TargetMonitor:
         if self._sent and self._sent[-1][1] == place:
             self._sent.pop()
         self._sent.append((now, place))
-        while len(self._sent) > 1 and self._sent[0][0] < now - LATE:
+        while self._seen and len(self._sent) > 1 and self._sent[0][0] < now - LATE:
             self._sent.popleft()
 
     def on_told(self, place: Vector, now: float) -> None:
@@ -52,7 +55,8 @@ class TargetMonitor:
         if not self._sent:
             return
         if self._is_sent(place):
-            self._seen = True
+            # Of a goal that is ignored it tells nothing: only the last one shows that they are followed.
+            self._seen = self._seen or self._is_near(place, self._sent[-1][1])
         elif (self._seen or now - self._began > SEEN) and self._strange is None:
             self._strange = now, place
 
@@ -67,7 +71,8 @@ class TargetMonitor:
         return math.dist(self._strange[1][:2], self._sent[-1][1][:2])
 
     def _is_sent(self, place: Vector) -> bool:
-        return any(self._is_near(place, sent) for _, sent in self._sent)
+        earlier = () if self._seen else self._earlier
+        return any(self._is_near(place, sent) for sent in (*(each for _, each in self._sent), *earlier))
 
     def _is_near(self, place: Vector, sent: Vector) -> bool:
         level = self._level and math.isfinite(place[2])

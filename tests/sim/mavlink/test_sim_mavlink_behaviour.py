@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 import pytest
-from mavlink_client import ACCEPTED, ARM, DENIED, FAILED, GUIDED, MODE, ONCE, STREAM, UNSUPPORTED, Client
+from mavlink_client import ACCEPTED, ARM, DENIED, FAILED, GUIDED, MODE, STREAM, UNSUPPORTED, Client
 from pymavlink.dialects.v20 import all as dialect
 
 from lfield_sim.autopilot.autopilot import FLAVOURS, Autopilot
@@ -193,6 +193,7 @@ def test_gps_loss():
     c.wait(0.7)
     assert c.autopilot.mode == "LAND"
     assert c.command(MODE, 1, GUIDED) == FAILED
+    c.wait(0.1)
     assert {"EKF variance", "Mode change to GUIDED failed: requires position"} <= set(c.texts())
     before = c.place[2]
     c.wait(2.5)

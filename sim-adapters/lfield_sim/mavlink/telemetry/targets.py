@@ -2,6 +2,9 @@
 
 ArduPilot tells the goal of GUIDED, wherever that came from; PX4 that of a mode of its own as 87, and its
 setpoint as 85, which are no numbers while it follows none (ap-rover.c-speed, px4-copter.c-speed).
+
+So a driver can see that another station has sent it elsewhere: an ArduCopter follows the last setpoint,
+whoever sent it.
 """
 
 from __future__ import annotations
