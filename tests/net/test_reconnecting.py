@@ -147,10 +147,11 @@ def link_local(net: Network) -> tuple[Two, Callable[[], None]]:
 def peer_moved(net: Network) -> tuple[Two, Callable[[], None]]:
     """The called host gets another address, to which its name leads from then on."""
     two = by_names(net)
-    net.address("b", "10.9.0.22/24")
+    net.address("b")
     two.lost()
 
     def told() -> None:
+        net.address("b", "10.9.0.22/24")
         for host in "ab":
             net.name(host, "10.9.0.1 alpha", "10.9.0.22 bravo")
 
