@@ -9,7 +9,15 @@ from typing import Any
 from lfield.driver import DeviceBinding, DeviceError, Driver
 from lfield_mavlink.link.dialect import AUTOPILOT, Header, Reader, Writer, dialect
 from lfield_mavlink.link.links import AGAIN, Link, LinkEvents, OnData, make_link, split_endpoint
-from lfield_mavlink.link.ports import LinkCounts, Neighbours, Port, Route, foreign_words, is_foreign
+from lfield_mavlink.link.ports import (
+    COMMANDS,
+    LinkCounts,
+    Neighbours,
+    Port,
+    Route,
+    foreign_words,
+    is_foreign,
+)
 from lfield_mavlink.link.signing import open_signing, sign_link
 from lfield_mavlink.link.sources import Source, Sources
 from lfield_mavlink.link.station import beat, check_stations, is_echo, station_of, why_not_alone
@@ -30,7 +38,8 @@ class MavlinkDriver(Driver):
         sources = self._sources[system] = Sources(system, split_endpoint(self.endpoint))
         send = partial(self._send_to, system, station_of(binding))
         given = binding, self.manifests[binding.type], self.clock, self.reports
-        return MavlinkVehicle(*given, send, self._counts, self._why_silent, sources)
+        others = partial(self._commander, system)
+        return MavlinkVehicle(*given, send, self._counts, self._why_silent, sources, others)
 
     def _set_up(self) -> None:
         self._sources: dict[int, Sources] = {}
@@ -140,12 +149,19 @@ class MavlinkDriver(Driver):
             return f"the {count} bytes that came hold no heartbeat; is it the right port and baud rate?"
         return "; ".join(port.link.why_silent() for port in self._ports)
 
+    def _commander(self, system: int) -> str:
+        """Who else has just commanded a vehicle, as far as that is heard on a link."""
+        return self._neighbours.commander(system, self.clock.monotonic())
+
     def _received(self, link: int, reader: Reader, data: bytes) -> None:
         self._received_bytes += len(data)
         source = Source(link, self._addresses.get(link, ""))
         for message in reader.feed(data, partial(self._is_spare, source)):
             system = message.get_srcSystem()
             vehicle = self._vehicles.get(system)
+            if message.get_msgId() in COMMANDS:
+                self._neighbours.commanded(message, self.clock.monotonic())
+                continue
             # Cameras and gimbals have heartbeats too; only the autopilot's says how the vehicle is.
             if vehicle is None or message.get_srcComponent() != AUTOPILOT:
                 self._on_neighbour(message)
@@ -193,7 +209,7 @@ class MavlinkDriver(Driver):
         """
         vehicle = self._vehicles.get(header.system)
         if vehicle is None or header.component != AUTOPILOT:
-            return header.kind != int(dialect.MAVLINK_MSG_ID_HEARTBEAT)
+            return header.kind != int(dialect.MAVLINK_MSG_ID_HEARTBEAT) and header.kind not in COMMANDS
         sources = self._sources[header.system]
         if len(self._ports) > 1 or not sources.accepts(source):
             return False

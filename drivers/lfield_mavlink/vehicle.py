@@ -44,7 +44,8 @@ class MavlinkVehicle(Contact):
     """A vehicle with an autopilot that speaks MAVLink 2.
 
     `send` sends it a message, `counts` tells what the readers of its links have counted, `why_silent` why it
-    may not be heard, and `sources` knows the addresses that it is heard from.
+    may not be heard, `sources` knows the addresses that it is heard from, and `others` which other stations
+    command it, as far as that is heard.
     """
 
     def __init__(
@@ -57,6 +58,7 @@ class MavlinkVehicle(Contact):
         counts: Callable[[], LinkCounts] = LinkCounts,
         why_silent: Callable[[], str] = lambda: "",
         sources: Sources | None = None,
+        others: Callable[[], str] = lambda: "",
     ) -> None:
         super().__init__(binding, manifest, clock, reports, send)
         self._why_silent, self._sources = why_silent, sources
@@ -68,6 +70,7 @@ class MavlinkVehicle(Contact):
         self.files = FileTransfer(self)
         self.plans = PlanTransfer(self, lambda: not self.profile.px4)
         self.motion = Motion(self, self.parameters)
+        self.motion.monitor.others = others
         self.watchdog = Watchdog(self, self.parameters)
         limits = Limits(binding, self.error)
         readiness = Readiness(self, self.motion)
@@ -212,6 +215,7 @@ class MavlinkVehicle(Contact):
             self.motion.speed.keep(),
             self._guidance.keep(),
             self._nature.keep(),
+            self.motion.monitor.keep(),
         )
 
     async def _watch(self) -> None:

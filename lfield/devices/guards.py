@@ -51,6 +51,8 @@ class Guards:
         self._turned = turned
         #: Called with what becomes of devices in their safe states, for whoever watches the host.
         self.tell: Tell = lambda event: None
+        #: Called with each device that its driver has locked out until it is inspected, and why.
+        self.on_lock_out: Callable[[str, str], None] = lambda device, reason: None
         self._guards: list[Guard] = []
         #: Why no program may release a device, '' while all may; also of those that are yet to be opened.
         self._barred = ""
@@ -84,6 +86,7 @@ class Guards:
             driver = self._drivers.by_driver[bus[0].driver]
             guard = Guard(driver, bus, self.clock, self._note, self.lateness, self._turned)
             guard.held.barred, guard.held.tell = self._barred, self.tell
+            guard.held.on_lock_out = self.on_lock_out
             self._guards.append(guard)
             self._by_device.update(
                 {device.name: (guard, driver.manifests[device.type].device) for device in bus}
@@ -203,7 +206,8 @@ class Guards:
         for guard in self._guards:
             for name in guard.movable:
                 held = guard.held.latched.get(name, "")
-                table[name] = guard.held.barred or (held if held != reason else "")
+                barred = guard.held.barred or guard.held.locked_out.get(name, "")
+                table[name] = barred or (held if held != reason else "")
                 if held and not table[name]:
                     table[name] = await self._release(name)
         return table

@@ -12,7 +12,7 @@ from lfield.clock import Clock
 from lfield.devices.lateness import Pulse
 from lfield.driver.binding import DeviceBinding
 from lfield.errors import WireError
-from lfield.guard.messages import Latched, Moving, Released, Safe
+from lfield.guard.messages import Latched, LockedOut, Moving, Released, Safe
 from lfield.guard.rest import UNSEEN
 from lfield.wire import events
 from lfield.wire.fields import MAX_LABEL, clip
@@ -47,6 +47,10 @@ class Held:
         self.confirmed: set[str] = set()
         #: What a latched device still does in its safe state, in words, by name; '' once it is at rest.
         self.moving: dict[str, str] = {}
+        #: Why a driver requires an inspection of its device, by name; absent for one that may move.
+        self.locked_out: dict[str, str] = {}
+        #: Called with each device that is locked out, and why.
+        self.on_lock_out: Callable[[str, str], None] = lambda device, reason: None
         #: Called after every change of the three; and with what has changed, for whoever watches the host.
         self.on_change: Callable[[], None] = lambda: None
         self.tell: Tell = lambda event: None
@@ -55,13 +59,19 @@ class Held:
         """The safe state that a device is held in, or would be."""
         return self._states.get(device) or self._devices[device].safe_state
 
-    def take(self, message: Latched | Moving | Released) -> None:
+    def take(self, message: Latched | LockedOut | Moving | Released) -> None:
         """The guard tells. Raises WireError for a device that it does not guard."""
         if message.device not in self._devices:
             raise WireError(f"word of '{message.device}', which it does not guard")
         match message:
             case Latched():
                 self._latched(message)
+            case LockedOut(device, reason):
+                self.locked_out[device] = reason
+                self._note(
+                    f"{device}: LOCKED OUT: {reason}; inspect it, then 'lfield estop --lift' ends that"
+                )
+                self.on_lock_out(device, reason)
             case Moving(device, moving):
                 self.moving[device] = moving
                 self.tell(events.Moving(clip(device, MAX_LABEL), clip(moving)))
@@ -110,4 +120,5 @@ class Held:
     def asked_again(self) -> list[Safe]:
         """What a guard that was started again has to hear: it brings its devices into their usual states."""
         bar = [Safe("", self.barred, barred=True)] if self.barred else []
-        return [*self._asked.values(), *bar]
+        locks = [Safe(device, reason, barred=True) for device, reason in self.locked_out.items()]
+        return [*self._asked.values(), *bar, *locks]

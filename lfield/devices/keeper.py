@@ -24,6 +24,7 @@ from lfield.guard.messages import (
     Done,
     Failed,
     Latched,
+    LockedOut,
     Message,
     MessageReader,
     Moving,
@@ -227,6 +228,7 @@ class Guard(asyncio.SubprocessProtocol):
     def allow(self) -> None:
         """The program may release the devices again."""
         self.held.barred = ""
+        self.held.locked_out.clear()
         self._send(Allow())
 
     # -- calls and queries ----------------------------------------------------------------------------
@@ -339,7 +341,7 @@ class Guard(asyncio.SubprocessProtocol):
                 self._calls.done(token, value)
             case Refused(token, kind, reason):
                 self._calls.refused(token, kind, reason)
-            case Latched() | Moving() | Released():
+            case Latched() | LockedOut() | Moving() | Released():
                 self.held.take(message)
             case Note(device, text):
                 self._note(f"{device}: {text}")

@@ -74,6 +74,10 @@ class _Quiet:
         """Nothing is moved here: told, for whoever moves it."""
         self._tell(f"{device}: {reason}")
 
+    def lock_out(self, device: str, reason: str) -> None:
+        """Nothing is moved here: told, for whoever moves it."""
+        self._tell(f"{device}: {reason}")
+
     def crashed(self, reason: str | BaseException) -> None:
         """Told; what was asked then fails by itself."""
         self._tell(f"the driver failed: {reason}")

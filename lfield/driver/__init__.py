@@ -6,8 +6,8 @@ few words of lfield that they speak.
 
 from lfield.clock import Clock
 from lfield.driver.binding import DeviceBinding
-from lfield.driver.contract import WATCHDOG, Manifest
-from lfield.driver.device import Device, Driver, Reports
+from lfield.driver.contract import WATCHDOG, Manifest, Reports
+from lfield.driver.device import Device, Driver
 from lfield.driver.frame import Frame, Origin, Placement, Pose, Vector
 from lfield.driver.plugin import Plugin
 from lfield.driver.settings import Setting

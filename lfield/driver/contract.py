@@ -5,9 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Protocol
 
 from lfield.driver.binding import OptionValue
-from lfield.manifest import NEVER, DeviceManifest, Instruction
+from lfield.manifest import NEVER, DeviceManifest, DeviceValue, Instruction
 
 #: What every device can do; the guard and the host answer them.
 RELEASE = Instruction(
@@ -98,3 +99,25 @@ class Manifest:
     def default_safe_state(self) -> str:
         """The first that the manifest lists; '' for a pure sensor."""
         return next(iter(self.device.safe_states), "")
+
+
+class Reports(Protocol):
+    """What a driver can tell the guard."""
+
+    def publish(self, device: str, values: Mapping[str, DeviceValue]) -> None:
+        """New values of telemetry quantities, true now."""
+
+    def heard(self, device: str) -> None:
+        """The device has just shown that it is alive."""
+
+    def note(self, device: str, text: str) -> None:
+        """One sentence for the log of the host."""
+
+    def breach(self, device: str, reason: str) -> None:
+        """The device is beyond a limit of its binding and cannot be corrected: it alone goes safe."""
+
+    def lock_out(self, device: str, reason: str) -> None:
+        """The device must be inspected: it alone goes safe, until an operator ends that."""
+
+    def crashed(self, reason: str | BaseException) -> None:
+        """Something in the driver has broken, or this was raised in it: every device goes safe."""

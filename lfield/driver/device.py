@@ -14,11 +14,11 @@ import re
 from collections.abc import Awaitable, Callable, Coroutine, Iterable, Mapping, Sequence
 from inspect import Parameter as MethodParameter
 from inspect import iscoroutinefunction, signature
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 from lfield.clock import Clock
 from lfield.driver.binding import DeviceBinding
-from lfield.driver.contract import WATCHDOG, Manifest
+from lfield.driver.contract import WATCHDOG, Manifest, Reports
 from lfield.driver.frame import Frame, arguments_from_team, values_to_team
 from lfield.driver.settings import Setting, wrong
 from lfield.driver.values import CHECKS, Check, conform
@@ -27,25 +27,6 @@ from lfield.manifest import DeviceValue, Instruction, Parameter
 
 #: The kind of the problem of a device that `lfield setup` sets up, where others have an L exception's name.
 NOT_SET_UP = "NotSetUp"
-
-
-class Reports(Protocol):
-    """What a driver can tell the guard."""
-
-    def publish(self, device: str, values: Mapping[str, DeviceValue]) -> None:
-        """New values of telemetry quantities, true now."""
-
-    def heard(self, device: str) -> None:
-        """The device has just shown that it is alive."""
-
-    def note(self, device: str, text: str) -> None:
-        """One sentence for the log of the host."""
-
-    def breach(self, device: str, reason: str) -> None:
-        """The device is beyond a limit of its binding and cannot be corrected: it alone goes safe."""
-
-    def crashed(self, reason: str | BaseException) -> None:
-        """Something in the driver has broken, or this was raised in it: every device goes safe."""
 
 
 class _Call(NamedTuple):
@@ -246,6 +227,10 @@ class Device:
         Until then, and while it is latched already, nothing changes; the first reason is kept.
         """
         self._reports.breach(self.binding.name, reason)
+
+    def lock_out(self, reason: str) -> None:
+        """It has crashed, say: hold it safe until an operator ends that by `lfield estop --lift`."""
+        self._reports.lock_out(self.binding.name, reason)
 
     def error(self, reason: str, *, timeout: bool = False) -> DeviceError:
         """The exception to raise when the device refused (or, with `timeout`, did not answer)."""

@@ -48,6 +48,8 @@ SILENCE = 0.2
 RETRY = 1.0
 #: How long after an attempt it is commanded again for a device that still moves.
 AGAIN = 2.0
+#: What an emergency stop and a lock-out end with.
+LIFT = "'lfield estop --lift' must come first"
 #: How long a silent host's devices have to confirm their safe states before their bus is made quiet.
 QUIET_BY = 2.0
 
@@ -97,7 +99,8 @@ class GuardCore:
             return [*effects, _refuse(call, takes)]
         asks = way(instruction) == "ask"
         if device.latched and not asks:
-            held = f"held in its safe state because {device.latched}; call release() first"
+            first = LIFT if device.barred else "call release() first"
+            held = f"held in its safe state because {device.barred or device.latched}; {first}"
             return [*effects, _refuse(call, held)]
         if refusal := self._too_late(call):
             return [*effects, _refuse(call, refusal)]
@@ -316,7 +319,7 @@ class GuardCore:
             if self._stopping:
                 return [_refuse(call, "the host is stopping")]
             if device.barred:
-                return [_refuse(call, f"{device.barred}; 'lfield estop --lift' must come first")]
+                return [_refuse(call, f"{device.barred}; {LIFT}")]
             if device.latched and not device.confirmed:
                 return [
                     _refuse(call, "its safe state is not confirmed yet; call release() again in a moment")

@@ -13,7 +13,7 @@ from lfield.manifest import DeviceManifest, Instruction
 class KnownDevice:
     """What the guard knows of one device. `latched` is the reason, or '' when it is free.
 
-    `barred` is why the program may not release it: somebody pressed the emergency stop.
+    `barred` is why the program may not release it: an emergency stop, or a lock-out of its driver.
     `told` is the last reason to be safe that a sensor has been given: it has nothing to do for it.
     `state` is the safe state that it is held in; '' for that of its binding.
     `making` says that its safe state is being commanded, `made_at` when that ended last.

@@ -168,6 +168,13 @@ class Allow(Message, frozen=True):
     """Host: the program may release its devices again."""
 
 
+class LockedOut(Message, frozen=True):
+    """Guard: the driver requires an inspection: no program may release the device before an Allow."""
+
+    device: str
+    reason: str
+
+
 class Moving(Message, frozen=True):
     """Guard: what a device still does in its safe state, which is confirmed; '' when it is at rest."""
 
@@ -194,6 +201,7 @@ MESSAGES: tuple[type[Message], ...] = (
     Allow,
     Moving,
     Cancel,
+    LockedOut,
 )
 
 MAX_PAYLOAD = 1 << 20

@@ -10,7 +10,8 @@ import asyncio
 from collections.abc import Callable
 
 from lfield.clock import Clock
-from lfield.driver.device import NOT_SET_UP, Device, Driver, Reports, check_methods
+from lfield.driver.contract import Reports
+from lfield.driver.device import NOT_SET_UP, Device, Driver, check_methods
 from lfield.driver.plugin import Plugin, check_same
 from lfield.errors import DeviceError, NotSetUp, PluginError
 from lfield.guard.endpoint_lock import Lock

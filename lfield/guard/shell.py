@@ -25,12 +25,18 @@ from lfield.guard.messages import (
     Beat,
     Call,
     Cancel,
+    Done,
     Failed,
+    Latched,
+    LockedOut,
     Message,
     MessageReader,
+    Moving,
     Note,
     Open,
     Ready,
+    Refused,
+    Released,
     Safe,
     Stop,
     Stopped,
@@ -41,8 +47,10 @@ from lfield.guard.opening import Opening
 from lfield.guard.rest import UNFINISHED
 from lfield.guard.telemetry import Telemetry
 
-#: More than this many unread bytes, and telemetry is dropped: the host has stopped reading.
+#: More than this many unread bytes, and no periodic telemetry is sent: the host has stopped reading.
 BACKLOG = 1 << 18
+#: Messages that a program acts on: the telemetry of their cause goes out before them.
+OUTCOMES = (Done, Refused, Latched, LockedOut, Moving, Released)
 #: Seconds between two answers to the host's beats.
 ANSWER = 0.5
 #: Seconds for the safe states to be commanded by a guard that has no memory left.
@@ -73,7 +81,9 @@ class Shell(asyncio.Protocol):
         self._opening = Opening(plugin, clock, self, on_loaded, lock or EndpointLock())
         # How the core ends that comes of an opening during which somebody wanted the end.
         self._leave: Callable[[GuardCore], list[Effect]] | None = None
-        self._telemetry = Telemetry(clock, self._tell_snapshot, self._is_taken)
+        self._telemetry = Telemetry(
+            clock, self._tell, self._is_taken, lambda: output.get_write_buffer_size() >= BACKLOG
+        )
         # Of what a driver can tell, new values and signs of life.
         self.publish, self.heard = self._telemetry.publish, self._telemetry.heard
         self._taken_before: list[str] = []
@@ -146,8 +156,8 @@ class Shell(asyncio.Protocol):
 
     @contextmanager
     def _in_one_write(self) -> Iterator[None]:
-        """What is told meanwhile goes out together: the host wakes up once for it."""
-        if self._output.is_closing():
+        """Messages of the meantime go out together: the host wakes up once for them."""
+        if self._held is not None or self._output.is_closing():
             yield
             return
         held: list[bytes] = []
@@ -163,10 +173,6 @@ class Shell(asyncio.Protocol):
         """Somebody who means the host has sent its guard a signal too."""
         name = signal.Signals(number).name
         self.note("the guard", f"{name} does not end it: it ends with its host, its devices safe")
-
-    def _tell_snapshot(self, message: Message) -> None:
-        if self._output.get_write_buffer_size() < BACKLOG:
-            self._tell(message)
 
     def _is_taken(self, device: str) -> bool:
         """Whether somebody else has it; while it is opened, as the guard before this one knew."""
@@ -187,6 +193,11 @@ class Shell(asyncio.Protocol):
         """It is beyond a limit and could not be brought back: it goes safe, whatever its calls do."""
         if self._core is not None:
             self._run(self._core.safe(device, reason))
+
+    def lock_out(self, device: str, reason: str) -> None:
+        """It must be inspected before it moves again: it goes safe, and only an operator ends that."""
+        if self._core is not None:
+            self._run([*self._core.safe(device, reason, barred=True), Tell(LockedOut(device, reason))])
 
     def _callback_raised(self, loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
         reason = context.get("exception") or context.get("message", "")
@@ -282,6 +293,11 @@ class Shell(asyncio.Protocol):
     # -- effects --------------------------------------------------------------------------------------
 
     def _run(self, effects: Sequence[Effect]) -> None:
+        with self._in_one_write():
+            self._carry_out(effects)
+        self._set_timer()
+
+    def _carry_out(self, effects: Sequence[Effect]) -> None:
         for effect in effects:
             match effect:
                 case Execute(call):
@@ -298,10 +314,11 @@ class Shell(asyncio.Protocol):
                 case Quiet(on):
                     self._be_quiet(on)
                 case Tell(message):
+                    if isinstance(message, OUTCOMES):
+                        self._telemetry.flush_changes()
                     self._tell(message)
                 case Exit(status):
                     self._finish(status)
-        self._set_timer()
 
     def _be_quiet(self, on: bool) -> None:
         try:
@@ -328,10 +345,7 @@ class Shell(asyncio.Protocol):
             if refusal := core.begins(call):
                 raise device.error(refusal)
             value = await device.execute(call.instruction, call.arguments)
-            with self._in_one_write():
-                # Whoever asks when the call is done must see what it has done.
-                self._telemetry.flush_changes()
-                self._run(core.finished(call.token, value))
+            self._run(core.finished(call.token, value))
         except DeviceError as error:
             self._run(core.refused(call.token, error.kind, error.reason))
         except ValueError as error:
@@ -352,7 +366,6 @@ class Shell(asyncio.Protocol):
         except Exception as error:  # foreign code again; the core tries again
             self._run(core.not_safe(name, f"the driver failed: {self._words(error)}"))
         else:
-            self._telemetry.flush()
             self._run(core.made_safe(name))
 
     def _set_timer(self) -> None:

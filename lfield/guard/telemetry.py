@@ -1,4 +1,8 @@
-"""Telemetry on its way to the host: the newest values of each device, pushed at a bounded rate."""
+"""Telemetry on its way to the host: the newest values of each device, pushed at a bounded rate.
+
+Before a result, an exception or a latch goes out, `flush_changes` pushes what was published until then: a
+program must never read telemetry that is older than the exception it has just caught.
+"""
 
 from __future__ import annotations
 
@@ -27,13 +31,18 @@ class _Latest:
 class Telemetry:
     """Collects what drivers publish and calls `push` with snapshots, at RATE at most.
 
-    `taken` is asked for each whether somebody else has the device.
+    `taken` is asked for each whether somebody else has the device. While `is_blocked`, since the host does
+    not read, nothing is pushed by the timer; the newest values are kept for the next push.
     """
 
     def __init__(
-        self, clock: Clock, push: Callable[[Snapshot], None], taken: Callable[[str], bool] = lambda _: False
+        self,
+        clock: Clock,
+        push: Callable[[Snapshot], None],
+        taken: Callable[[str], bool] = lambda _: False,
+        is_blocked: Callable[[], bool] = lambda: False,
     ) -> None:
-        self._clock, self._push, self._taken = clock, push, taken
+        self._clock, self._push, self._taken, self._is_blocked = clock, push, taken, is_blocked
         self._devices: dict[str, _Latest] = {}
         self._timer: asyncio.TimerHandle | None = None
 
@@ -73,5 +82,14 @@ class Telemetry:
             return latest
         latest.fresh = True
         if self._timer is None:
-            self._timer = asyncio.get_running_loop().call_later(1.0 / RATE, self.flush)
+            self._set_timer()
         return latest
+
+    def _set_timer(self) -> None:
+        self._timer = asyncio.get_running_loop().call_later(1.0 / RATE, self._on_timer)
+
+    def _on_timer(self) -> None:
+        if self._is_blocked():
+            self._set_timer()
+        else:
+            self.flush()

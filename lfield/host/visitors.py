@@ -65,6 +65,7 @@ class Visitors:
         self._enter, self._status, self._note, self._all_kept = enter, status, note, all_kept
         self._teller = core.teller
         self.watchers = Watchers(core, guards, clock, status)
+        guards.on_lock_out = self._locked_out
         #: When somebody last asked how the devices are.
         self._looked = -LOOKING
         #: Who waits for the status, and when it was last told.
@@ -115,6 +116,11 @@ class Visitors:
             self._teller.stopped(EARLIER, reason, lifted=False)
             self._guards.bar(reason)
             self._note(f"EMERGENCY STOP still holds: {reason}; 'lfield estop --lift' ends it")
+
+    def _locked_out(self, device: str, reason: str) -> None:
+        """It is kept as an emergency stop is, so that the next life of this host opens its devices barred."""
+        if not self._core.coordinators.stopped:
+            self._enter(lambda: self._core.stop(clip(in_one_line(f"{device} is locked out: {reason}"))))
 
     async def stay_paused(self) -> None:
         """What was paused in an earlier life of this host keeps its devices in their safe states."""

@@ -17,6 +17,8 @@ class KeptReports:
         self.notes: list[str] = []
         #: Why a device must be made safe, one sentence each.
         self.breaches: list[str] = []
+        #: Why a device must be inspected before it moves again, one sentence each.
+        self.lock_outs: list[str] = []
         #: What broke where nobody waits for it.
         self.crashes: list[str] = []
 
@@ -39,6 +41,10 @@ class KeptReports:
     def breach(self, device: str, reason: str) -> None:
         """Beyond a limit."""
         self.breaches.append(reason)
+
+    def lock_out(self, device: str, reason: str) -> None:
+        """It must be inspected."""
+        self.lock_outs.append(reason)
 
     def crashed(self, reason: str | BaseException) -> None:
         """Something has broken."""

@@ -1,20 +1,37 @@
-"""What a guard tells the host when a call is done: what it has changed, in the same write as the answer."""
+"""Telemetry is never older than the result, the exception or the latch that a program learns of."""
 
 from __future__ import annotations
 
 import asyncio
 
+import pytest
 from thing_guard import Output, guard_of, known_thing
 
 from lfield.driver.binding import DeviceBinding
+from lfield.driver.contract import RELEASE
 from lfield.driver.device import Device
-from lfield.guard.messages import Call, Done, Open, Refused, Snapshot, encode
+from lfield.guard.messages import (
+    Allow,
+    Call,
+    Cancel,
+    Done,
+    Latched,
+    LockedOut,
+    Open,
+    Refused,
+    Released,
+    Safe,
+    Snapshot,
+    encode,
+)
+from lfield.guard.shell import BACKLOG
 from lfield.guard.telemetry import RATE
 from lfield.manifest import Instruction, Quantity
 from lfield.simulate.time import JumpingLoop, LoopClock
 
 HEIGHT = Quantity("height", "real")
-CALLS = tuple(Instruction(name, (), effect="actuate", blocking=True) for name in ("rise", "answer", "fail"))
+NAMES = ("rise", "answer", "fail", "crash", "reject", "overshoot", "hover", "tumble")
+CALLS = tuple(Instruction(name, (), effect="actuate", blocking=True, cancel="leave") for name in NAMES)
 
 
 class Lift(Device):
@@ -35,23 +52,58 @@ class Lift(Device):
         self.publish(height=1.0)
         raise self.error("it does not")
 
+    async def do_crash(self):
+        self.publish(height=1.0)
+        raise RuntimeError("a fault of the driver")
 
-def _written(*names, wait=0.0):
-    """What the guard writes for calls, one after the other; a list for each write."""
-    binding = DeviceBinding(
+    async def do_reject(self):
+        self.publish(height=1.0)
+        raise ValueError("not such a value")
+
+    async def do_overshoot(self):
+        self.publish(height=1.0)
+        self.breach("it is too high")
+        await asyncio.sleep(9.0)
+
+    async def do_tumble(self):
+        self.publish(height=0.0)
+        self.lock_out("it crashed")
+        await asyncio.sleep(9.0)
+
+    async def do_hover(self):
+        self.publish(height=1.0)
+        await asyncio.sleep(9.0)
+
+
+def _binding():
+    return DeviceBinding(
         agent="alpha", field="thing", type="Thing", driver="thing", endpoint="here", safe_state="off",
         ttl=0.5, limits={}, options={}, waivers=["device_watchdog"],
     )  # fmt: skip
 
+
+def _written(*names, wait=0.0, then=(), unread=0):
+    """What the guard writes for calls, one after the other, and for the messages `then`; a list per write.
+
+    `unread` bytes lie in the pipe, which the host does not read.
+    """
+    binding = _binding()
+
     async def story():
         output = Output()
         shell = guard_of(Lift, output)
-        shell.data_received(encode(Open([binding], "", 9.0, known_thing(*CALLS, telemetry=(HEIGHT,)))))
+        shell.data_received(
+            encode(Open([binding], "", 9.0, known_thing(*CALLS, RELEASE, telemetry=(HEIGHT,))))
+        )
         await asyncio.sleep(2 / RATE)
         output.writes.clear()
         for token, name in enumerate(names, 1):
             now = LoopClock().monotonic()
             shell.data_received(encode(Call(token, "alpha.thing", name, [], now, now + 9.0)))
+            await asyncio.sleep(0.001)
+        output.unread = unread
+        for message in then:
+            shell.data_received(encode(message))
             await asyncio.sleep(0.001)
         await asyncio.sleep(wait)
         await shell.close()
@@ -75,8 +127,62 @@ def test_that_a_device_has_answered_waits_for_its_turn():
     assert (snapshot.device, snapshot.values) == ("alpha.thing", {})
 
 
-def test_who_fails_is_told_and_the_next_answer_is_written_as_ever():
-    ((refused,), (snapshot, done)) = _written("fail", "rise")
+@pytest.mark.parametrize("name", ["fail", "crash", "reject", "overshoot"])
+def test_what_caused_an_exception_comes_before_it_and_with_it(name):
+    (snapshot, refused, *rest), *_ = _written(name)
+    assert isinstance(snapshot, Snapshot)
+    assert snapshot.values["height"].value == 1.0
     assert isinstance(refused, Refused)
-    assert snapshot.values["height"].value == 2.0
-    assert done == Done(2, None)
+    assert all(isinstance(latched, Latched) for latched in rest)
+    assert bool(rest) == (name in ("crash", "overshoot"))
+
+
+@pytest.mark.parametrize("end", [Safe("alpha.thing", "somebody says so"), Cancel(1, 0.0)])
+def test_a_call_that_others_end_has_its_telemetry_first(end):
+    writes = _written("hover", then=[end])
+    kinds = [type(message) for write in writes for message in write]
+    assert kinds.index(Snapshot) < kinds.index(Refused)
+
+
+def test_a_host_that_does_not_read_gets_the_telemetry_of_an_exception_all_the_same():
+    """Periodic telemetry waits, and its newest is not lost; the cause of an exception does not wait."""
+    safe = Safe("alpha.thing", "somebody says so")
+    writes = _written("hover", then=[safe], unread=BACKLOG, wait=3 / RATE)
+    told = [message for write in writes for message in write]
+    snapshots = [message for message in told if isinstance(message, Snapshot)]
+    assert [snapshot.values["height"].value for snapshot in snapshots] == [1.0]
+    assert told.index(snapshots[0]) < [type(message) for message in told].index(Refused)
+
+
+def test_periodic_telemetry_waits_for_a_host_that_does_not_read_and_is_kept():
+    assert _written("hover", unread=BACKLOG, wait=5 / RATE) == []
+
+
+def test_a_lock_out_is_kept_until_an_operator_ends_it():
+    now = LoopClock
+
+    async def story():
+        output = Output()
+        shell = guard_of(Lift, output)
+        shell.data_received(encode(Open([_binding()], "", 99.0, known_thing(*CALLS, telemetry=(HEIGHT,)))))
+        await asyncio.sleep(2 / RATE)
+        for token, name in enumerate(("tumble", "release", "rise"), 1):
+            sent = now().monotonic()
+            shell.data_received(encode(Call(token, "alpha.thing", name, [], sent, sent + 9.0)))
+            await asyncio.sleep(0.1)
+        before = len(output.told)
+        shell.data_received(encode(Allow()))
+        sent = now().monotonic()
+        shell.data_received(encode(Call(9, "alpha.thing", "release", [], sent, sent + 9.0)))
+        await asyncio.sleep(0.1)
+        await shell.close()
+        return output.told[:before], output.told[before:]
+
+    with asyncio.Runner(loop_factory=JumpingLoop) as runner:
+        told, after = runner.run(story())
+    assert LockedOut("alpha.thing", "it crashed") in told
+    refused = {message.token: message.reason for message in told if isinstance(message, Refused)}
+    assert refused.keys() == {1, 2, 3}
+    assert [token for token in refused if "estop --lift" in refused[token]] == [2, 3], refused
+    assert Released("alpha.thing") in after
+    assert Done(9, None) in after

@@ -18,6 +18,8 @@ class Output:
 
     def __init__(self):
         self._reader, self.told, self.writes = MessageReader(), [], []
+        #: Bytes that the host has not read.
+        self.unread = 0
 
     def write(self, data):
         self.writes.append(list(self._reader.feed(data)))
@@ -27,7 +29,7 @@ class Output:
         return False
 
     def get_write_buffer_size(self):
-        return 0
+        return self.unread
 
 
 def guard_of(kind, output):

@@ -96,6 +96,8 @@ class VehicleState:
         self.critical = False
         #: The mode that it was told to be in while a failsafe has it in another, '' while none has; of PX4.
         self.overruled: str | None = None
+        #: Whether its own failsafe has it, also where neither its heartbeat nor CURRENT_MODE says so.
+        self.has_failsafe = False
         self.sensors: Sensors | None = None
         self.landed: bool | None = None
         self.yaw: float | None = None
@@ -211,7 +213,7 @@ class VehicleState:
 
     @property
     def _failsafe(self) -> bool:
-        return self.critical or bool(self.overruled)
+        return self.critical or bool(self.overruled) or self.has_failsafe
 
     def _on_local_position(self, message: Any, now: float) -> Values:
         numbers = (message.x, message.y, message.z, message.vx, message.vy, message.vz)

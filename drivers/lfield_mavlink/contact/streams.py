@@ -24,8 +24,6 @@ UNUSED = frozenset(
         dialect.MAVLINK_MSG_ID_RC_CHANNELS_RAW,
         dialect.MAVLINK_MSG_ID_RC_CHANNELS,
         dialect.MAVLINK_MSG_ID_ATTITUDE_TARGET,
-        dialect.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED,
-        dialect.MAVLINK_MSG_ID_POSITION_TARGET_GLOBAL_INT,
         dialect.MAVLINK_MSG_ID_HIGHRES_IMU,
         dialect.MAVLINK_MSG_ID_ALTITUDE,
         dialect.MAVLINK_MSG_ID_BATTERY_STATUS,
@@ -54,7 +52,23 @@ LISTENED: Mapping[int, float] = {
     dialect.MAVLINK_MSG_ID_HOME_POSITION: 0.5,
     dialect.MAVLINK_MSG_ID_FENCE_STATUS: 1.0,
     dialect.MAVLINK_MSG_ID_MISSION_CURRENT: 2.0,
+    # A lost position must be known within 2 s, also where packets are lost.
+    dialect.MAVLINK_MSG_ID_GPS_RAW_INT: 4.0,
+    dialect.MAVLINK_MSG_ID_EKF_STATUS_REPORT: 1.0,
+    dialect.MAVLINK_MSG_ID_ESTIMATOR_STATUS: 1.0,
+    # A foreign setpoint lasts until our next one: a second at most.
+    dialect.MAVLINK_MSG_ID_POSITION_TARGET_GLOBAL_INT: 5.0,
+    dialect.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED: 5.0,
 }
+#: What only the other autopilot has, or is of no use here: PX4 refuses to send heartbeats faster.
+ONLY_ARDUPILOT = frozenset({dialect.MAVLINK_MSG_ID_HEARTBEAT, dialect.MAVLINK_MSG_ID_EKF_STATUS_REPORT})
+ONLY_PX4 = frozenset(
+    {
+        dialect.MAVLINK_MSG_ID_CURRENT_MODE,
+        dialect.MAVLINK_MSG_ID_ESTIMATOR_STATUS,
+        dialect.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED,
+    }
+)
 
 
 class Streams:
@@ -116,10 +130,9 @@ class Streams:
             vehicle.note(f"it does not report {', '.join(missing)}")
 
     def _wanted(self) -> list[int]:
-        """The messages to ask for: PX4 refuses to send heartbeats faster, ArduPilot has no CURRENT_MODE."""
-        px4 = self._vehicle.profile.px4
-        other = dialect.MAVLINK_MSG_ID_HEARTBEAT if px4 else dialect.MAVLINK_MSG_ID_CURRENT_MODE
-        return [kind for kind in self._rates if kind != other]
+        """The messages to ask for, of those that its autopilot has."""
+        others = ONLY_ARDUPILOT if self._vehicle.profile.px4 else ONLY_PX4
+        return [kind for kind in self._rates if kind not in others]
 
     def _missing(self) -> list[str]:
         told = {name for kind, names in SOURCES.items() if kind in self._last for name in names}

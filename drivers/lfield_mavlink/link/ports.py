@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import OrderedDict
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -18,6 +19,10 @@ STEADY = 1.5
 REMEMBERED = 512
 #: Others on the links whose names are kept.
 MOST_NEIGHBOURS = 16
+#: Seconds for which a command of somebody else may be why a vehicle goes elsewhere.
+JUST = 3.0
+#: Messages that send a vehicle somewhere: SET_MODE, MISSION_SET_CURRENT, COMMAND_INT and _LONG, setpoints.
+COMMANDS = frozenset({11, 41, 75, 76, 84, 86})
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,10 +88,26 @@ def foreign_words(message: Any) -> str:
 
 
 class Neighbours:
-    """Who is heard on the links by a heartbeat and is no vehicle that somebody here is bound to."""
+    """Who is heard on the links by a heartbeat and is no vehicle that somebody here is bound to.
+
+    Beside that, who was heard last to command a vehicle: a router, say, shows its messages to everybody.
+    """
 
     def __init__(self) -> None:
         self._heard: dict[tuple[int, int], str] = {}
+        self._commands: dict[int, tuple[int, int, float]] = {}
+
+    def commanded(self, message: Any, now: float) -> None:
+        """A message of somebody else, which sends a vehicle somewhere."""
+        who = message.get_srcSystem(), message.get_srcComponent(), now
+        self._commands[message.target_system] = who
+        if len(self._commands) > MOST_NEIGHBOURS:
+            del self._commands[next(iter(self._commands))]
+
+    def commander(self, system: int, now: float) -> str:
+        """`: system 77, component 1`, that has just commanded a vehicle; '' when nobody was heard to."""
+        by, component, at = self._commands.get(system, (0, 0, -math.inf))
+        return f": system {by}, component {component}" if now - at <= JUST else ""
 
     def heard(self, message: Any) -> None:
         """A message of somebody else."""

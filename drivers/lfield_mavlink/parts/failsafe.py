@@ -76,6 +76,7 @@ class Failsafe:
     def release(self) -> None:
         """The program takes the vehicle back."""
         self.has_it, self._led, self._noticed_at = False, False, -math.inf
+        self._state.has_failsafe = False
         self._released_at = self._vehicle.clock.monotonic()
 
     async def did_the_same(self, what: str, command: int, *values: float) -> None:
@@ -136,7 +137,8 @@ class Failsafe:
         retreats = state.profile is not None and state.armed and state.mode in state.profile.fallbacks
         recent = self._vehicle.clock.monotonic() - self._noticed_at <= LED
         if not retreats:
-            self.has_it = self._led = False
+            self.has_it = self._led = self._state.has_failsafe = False
         elif recent and not self.has_it:
-            self.has_it = True
+            self.has_it = self._state.has_failsafe = True
+            self._vehicle.publish(mode=state.mode, failsafe=True)
             self.on_taken()

@@ -66,6 +66,8 @@ class Flight:
         self._motion.begin("arm")
         if self._state.armed:
             return
+        await self._motion.monitor.settle()
+        self._motion.monitor.check_begin("arm")
         vehicle.check_station("arm")
         await vehicle.check_alone()
         await vehicle.check_settings()
@@ -246,7 +248,7 @@ class Flight:
             if self._state.landed and vehicle.profile.flies and await self._disarmed():
                 return
         self._left_in = ""
-        await self._motion.set_mode(vehicle.profile.safe(state))
+        await self._motion.set_mode(self._motion.monitor.safe_mode(state))
 
     @property
     def _is_not_to_be_moved(self) -> bool:

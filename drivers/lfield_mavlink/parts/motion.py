@@ -12,6 +12,7 @@ from lfield_mavlink.geo import Vector
 from lfield_mavlink.limits import BRAKES
 from lfield_mavlink.link.dialect import dialect
 from lfield_mavlink.modes import AUTONOMOUS
+from lfield_mavlink.monitors.flight_monitor import FlightMonitor
 from lfield_mavlink.parts.failsafe import Failsafe
 from lfield_mavlink.parts.fences import OwnFence
 from lfield_mavlink.parts.progress import Arrival, Progress
@@ -49,6 +50,8 @@ class Motion:
     def __init__(self, vehicle: Contact, parameters: Parameters) -> None:
         self._vehicle, self._state, self._parameters = vehicle, vehicle.state, parameters
         self.fence, self.failsafe = OwnFence(vehicle, parameters), Failsafe(vehicle)
+        self.monitor = FlightMonitor(vehicle, parameters)
+        self.monitor.is_ours = lambda: self.ours
         self.stream = SetpointStream(vehicle.clock, self.send, self._where, self._is_followed)
         self.speed = Speed(vehicle, self.stream, parameters)
         self.guided = GuidedMode(vehicle)
@@ -73,7 +76,7 @@ class Motion:
     @property
     def ours(self) -> bool:
         """Whether this program led to the mode, not a failsafe; of a vehicle at rest it does not matter."""
-        if self.failsafe.has_it or not self._state.armed:
+        if self.failsafe.has_it or self.monitor.foreign or not self._state.armed:
             return not self._state.armed
         profile = self._vehicle.profile
         # What it does by itself ends on the ground; in the air somebody has chosen that mode.
@@ -87,6 +90,7 @@ class Motion:
     def release(self) -> None:
         """Whatever mode it is in, and whoever chose it, is this program's from now on."""
         self.failsafe.release()
+        self.monitor.release()
         self.claim(self._state.mode)
 
     def begin(self, what: str) -> None:
@@ -94,10 +98,12 @@ class Motion:
         self._vehicle.check_link()
         self._vehicle.check_identity()
         if not self.ours:
-            raise self._vehicle.error(
-                f"{what} refused: the vehicle is in {self._state.mode}, which this program did not "
-                f"choose; {self.failsafe.holding}. release() takes it back"
+            why = self.monitor.foreign or (
+                f"the vehicle is in {self._state.mode}, which this program did not choose; "
+                f"{self.failsafe.holding}"
             )
+            raise self._vehicle.error(f"{what} refused: {why}. release() takes it back")
+        self.monitor.check_begin(what)
         self._vehicle.take_charge()
         self._began, self._stopped = self._vehicle.clock.monotonic(), ""
         self.speed.begin()
@@ -136,6 +142,7 @@ class Motion:
         """Where it comes to rest when it brakes now, in metres of home; None where that is not known."""
         place = self._state.position
         known = place is not None and self._state.home is not None and self._state.armed
+        known = known and not (self.monitor.lost_position or self.monitor.foreign)
         return stopping_place(place, self._state.velocity) if known and place is not None else None
 
     async def set_mode(self, name: str) -> None:
@@ -169,6 +176,7 @@ class Motion:
         done: Callable[[], bool] = lambda: False,
     ) -> None:
         """Enter a mode by a command that leads to it, or see that it is `done`. Raises DeviceError."""
+        self.monitor.on_mode(mode)
         # Noted before it is known to have worked: a safe state that is tried again must count as ours, and so
         # must the mode that it is still in when the new one is refused.
         self._commanded |= {mode}
@@ -196,6 +204,7 @@ class Motion:
     async def _begin(self, what: str, order: Order, taken: Callable[[], bool] | None = None) -> None:
         if order.mode and self._state.mode != order.mode:
             await self.set_mode(order.mode)
+        self.monitor.on_order(order)
         # As in `enter`: until the new order is seen, the mode it is still in is ours too.
         self._commanded |= order.modes
         if (command := order.command) is not None:
@@ -249,7 +258,8 @@ class Motion:
     def _is_followed(self) -> bool:
         """Whether the moving target is still to be sent: not when somebody else has it, or it is off."""
         now = self._vehicle.clock.monotonic()
-        return self._state.armed and (self._left_at is None or now - self._left_at < LEFT)
+        stays = self._left_at is None or now - self._left_at < LEFT
+        return self._state.armed and stays and not self.monitor.foreign
 
     @property
     def _is_in_guided(self) -> bool:
@@ -297,6 +307,7 @@ class Motion:
             left = distance(place) if place is not None else math.inf
             if left <= near:
                 return
+            await self.monitor.check(what, order, left)
             await self._check_underway(what, order, start)
             if progress.is_over(left, self.moves, now, self.speed.of_motion, place):
                 await self._give_up(order)
@@ -349,6 +360,7 @@ class Motion:
     def send(self, target: Target) -> None:
         """Send a setpoint, in the autopilot's local frame."""
         self.speed.sent(target)
+        self.monitor.on_sent(target)
         self._vehicle.send(target.message(self._vehicle.system, self._state.home_offset))
 
     async def _give_up(self, order: Order) -> None:

@@ -93,6 +93,8 @@ class Readiness:
 
     def _lack(self) -> str:
         """What is missing, '' when nothing is."""
+        if crashed := self._motion.monitor.crashed:
+            return f"it crashed, and must be inspected: {crashed}"
         if self._vehicle.silence > LINK_LOST:
             return f"nothing heard for {self._vehicle.silence:.1f} s"
         if self._vehicle.conflict and not self._state.armed:

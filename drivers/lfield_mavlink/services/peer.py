@@ -61,7 +61,8 @@ class Mail:
         """
         now = asyncio.get_running_loop().time
         end = now() + bound
-        while (left := end - now()) > 0.0:
+        # A rounding error of the clock is no time to wait for.
+        while (left := end - now()) > 1e-9:
             try:
                 async with asyncio.timeout(min(left, LOOK)):
                     message = await self._messages.get()

@@ -17,7 +17,6 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
-from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from lfield.journal.pages import CopyPage, Fence, Page
@@ -81,9 +80,8 @@ class Judge:
         self._calls = Calls(self.breaches, lambda agent: self._newest_at(agent, math.inf))
         self._blocks = Blocks(self.breaches, lambda: self.fleet.now, self._newest_at, self._on_disk)
         self._results = Results(self.breaches, self._home)
-        lease: Callable[[], float] = lambda: self.fleet.mission.bindings.reservations.lease
-        watched = (self._newest_at, self._on_disk)
-        self.reserved = Reserved(self.breaches, lambda: self.fleet.now, lease, *watched)
+        times = lambda: self.fleet.now, lambda: self.fleet.mission.bindings.reservations.lease
+        self.reserved = Reserved(self.breaches, *times, self._newest_at, self._on_disk)
         self.orders = Orders(self.breaches, lambda: self.fleet.now, lambda: self.fleet.keeps)
         self.told = self._blocks.told
         self._devices = Devices(self.breaches, self._made_for, self._newest_at, self.reserved.commanded)

@@ -25,6 +25,15 @@ from lfield_sim.autopilot.watch.sticks import hand_over
 #: Every vehicle there is, by flavour and kind.
 FLAVOURS: Mapping[str, Mapping[str, Kind]] = {"ardupilot": ardupilot.KINDS, "px4": px4.KINDS}
 KINDS = FLAVOURS["ardupilot"]
+#: What needs a position, in PX4's words.
+PLACED = {
+    Role.GUIDED: "Offboard",
+    Role.HOLD: "Hold",
+    Role.RETURN: "Return",
+    Role.MISSION: "Mission",
+    Role.ORBIT: "Orbit",
+    Role.TAKEOFF: "Takeoff",
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,6 +68,14 @@ class Autopilot(Pilot):
         if self.booting:
             return
         for text in news(self, dt):
+            self.say(text)
+        for text in self.estimate.step(
+            dt,
+            gps_lost=self.gps_lost,
+            glitch=self.gps_glitch,
+            compass_failed=self.compass_failed,
+            talks=self.flies and not self.flavour.submodes,
+        ):
             self.say(text)
         self.failsafes.check(dt)
         hand_over(self)
@@ -141,14 +158,23 @@ class Autopilot(Pilot):
         if texts := self._why_not(name):
             for text in texts:
                 self.say(text)
-            return Result.ACCEPTED if self.flavour.submodes else Result.FAILED
+            # PX4 accepts a mode that is not available, but for one that lacks a position.
+            accepts = self.flavour.submodes and not self._is_lost
+            return Result.ACCEPTED if accepts else self.flavour.refusal
         self.failsafes.commanded()
         self.command(name)
         return Result.ACCEPTED
 
+    @property
+    def _is_lost(self) -> bool:
+        """Whether it flies and knows no position any more."""
+        return self.estimate.is_lost and self.armed
+
     def _why_not(self, name: str) -> tuple[str, ...]:
         """What is said when a mode cannot be entered now, nothing when it can."""
         role, flavour = self.kind.modes[name].role, self.flavour
+        if self._is_lost and role in PLACED:
+            return (flavour.blind.refusal.format(mode=PLACED[role] if flavour.submodes else name),)
         if role is Role.MISSION:
             return why_no_mission(self)
         if role is Role.GUIDED and flavour.needs_stream and not self.streams:

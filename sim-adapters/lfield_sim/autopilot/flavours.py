@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from enum import Enum, IntEnum
 from typing import Protocol
 
+from lfield_sim.autopilot.body.estimate import BlindRule
 from lfield_sim.autopilot.ground import Wheels
 from lfield_sim.autopilot.vehicle import Limits
 
@@ -186,6 +187,10 @@ class Warming:
     by_hand: float = 1.0
 
 
+#: Nothing comes of a lost GPS.
+SEES_ON = BlindRule(1e9)
+
+
 @dataclass(frozen=True, slots=True)
 class Flavour:
     """An autopilot: what its kinds of vehicles have in common.
@@ -223,6 +228,7 @@ class Flavour:
     airborne_text       said when it is not disarmed because it flies
     idle_text           said when it disarms because nothing follows an arming
     drifts              home's height moves with GNSS while it flies
+    blind               what it does without GPS
     """
 
     name: str
@@ -272,6 +278,7 @@ class Flavour:
     no_mission: tuple[str, ...] = ()
     airborne_text: str = ""
     drifts: bool = False
+    blind: BlindRule = SEES_ON
 
 
 @dataclass(frozen=True, slots=True)

@@ -19,6 +19,9 @@ AT_GOAL = 0.3
 #: Of an ArduCopter's return: seconds until its climb begins, and that it takes to settle over home before its
 #: wait does; it is level there within so many m/s and m (f-fence-landing, f-fence-breach, i-home-moves).
 STOPS, SETTLES, LEVEL = 0.9, 0.8, 0.1
+#: The share of the power of one motor with which a copter holds its height; one at which it sinks, and its
+#: m/s then (gauntlet-b: 2.76 when it hit the ground); seconds until it says so (2.9 there).
+HOLDS, WEAK, SAGS, TELLS = 0.8, 0.6, 2.9, 2.9
 #: Metres from home within which a return does not climb.
 NEAR_HOME = 1.0
 
@@ -110,8 +113,22 @@ _MODES: Mapping[Role, Callable[[Pilot], None]] = {
 }
 
 
+def _lack_power(pilot: Pilot) -> None:
+    """A copter with a weak motor sinks, and says so after a while."""
+    weak = pilot.flies and pilot.armed and pilot.vehicle.airborne and pilot.motor_power < HOLDS
+    pilot.vehicle.sags = (HOLDS - pilot.motor_power) / (HOLDS - WEAK) * SAGS if weak else 0.0
+    if not weak:
+        pilot.weak_at = math.inf
+    elif pilot.weak_at == math.inf:
+        pilot.weak_at = pilot.now
+    elif -math.inf < pilot.weak_at < pilot.now - TELLS:
+        pilot.say("Potential Thrust Loss (1)")
+        pilot.weak_at = -math.inf
+
+
 def suffer(pilot: Pilot) -> None:
-    """A copter with a dead motor spins and comes down; a rover stands."""
+    """A copter with a dead motor spins and comes down, with a weak one it sinks; a rover stands."""
+    _lack_power(pilot)
     vehicle = pilot.vehicle
     if not pilot.motor_failed or not pilot.armed:
         return

@@ -37,6 +37,9 @@ def landed_state(pilot: Pilot) -> LandedState:
         # It calls its whole return a landing.
         returns = LandedState.LANDING if pilot.role is Role.RETURN else LandedState.IN_AIR
         return LandedState.ON_GROUND if pilot.landed else returns
+    if not (pilot.armed or pilot.flavour.takeoff_mode):
+        # ArduPilot says so whenever its motors are off, also of one that falls.
+        return LandedState.ON_GROUND
     if pilot.lifts_at is not None:
         return LandedState.TAKEOFF if _has_lifted(pilot) else LandedState.ON_GROUND
     if pilot.landed:

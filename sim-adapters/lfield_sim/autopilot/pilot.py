@@ -7,6 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from random import Random
 
+from lfield_sim.autopilot.body.estimate import Estimate
 from lfield_sim.autopilot.body.goals import ZERO, Circle, Descend, Fall, Goal, Keep, Lean, Rest, Sink, Vector
 from lfield_sim.autopilot.equipment import Battery, Payload
 from lfield_sim.autopilot.flavours import Flavour, Kind, Pace, Result, Role
@@ -32,7 +33,8 @@ KEPT_TEXTS = 100
 class Pilot:
     """What is so, and what becomes of it when a mode is entered; it takes no commands (`Autopilot` does).
 
-    Faults: `refuse_arming` is a reason to refuse every arming, or ''; `gps_lost`, `motor_failed`; `sticks` is
+    Faults: `refuse_arming` is a reason to refuse every arming, or ''; `gps_lost`, `compass_failed`,
+    `motor_failed`; `gps_glitch` in metres north; `motor_power` is the share that one motor gives; `sticks` is
     a pilot who moves them; `warm_up` are the seconds after a start in which it is not healthy yet.
 
     altitude             of the local frame's origin above mean sea level, m
@@ -40,6 +42,7 @@ class Pilot:
     takeoff_goal         the height in m that a takeoff of PX4 was given
     lifts_at, lift_goal  when the motors are up for a takeoff under way, and how far down it leads
     entered_at, entered_down  when the mode was entered, and how far down; a return may climb, and keep that
+    weak_at              since when a motor is too weak, minus infinity once that has been said
     sinks_at             when a landing goes down: ArduCopter's failsafes stand still for a while first
     on_its_way           of PX4's rover: what it calls flying
     stood                what was last said about standing
@@ -57,7 +60,11 @@ class Pilot:
     battery: Battery = field(default_factory=Battery)
     refuse_arming: str = ""
     gps_lost: bool = False
+    gps_glitch: float = 0.0
+    compass_failed: bool = False
     motor_failed: bool = False
+    motor_power: float = 1.0
+    estimate: Estimate = field(init=False)
     sticks: bool = False
     warm_up: float = 0.0
     parameters: dict[str, float] = field(init=False)
@@ -85,6 +92,7 @@ class Pilot:
     stood: bool = True
     lifts_at: float | None = None
     sinks_at: float = 0.0
+    weak_at: float = math.inf
     lift_goal: float = 0.0
     over_home_at: float | None = None
     entered_at: float = 0.0
@@ -101,7 +109,7 @@ class Pilot:
     _texts: list[tuple[float, str]] = field(default_factory=list)
 
     def __post_init__(self) -> None:
-        self.parameters = dict(self.kind.parameters)
+        self.parameters, self.estimate = dict(self.kind.parameters), Estimate(self.flavour.blind)
         limits = replace(self.kind.limits)
         self.vehicle = (
             Vehicle(limits) if self.kind.name == "copter" else GroundVehicle(limits, wheels=self.kind.wheels)

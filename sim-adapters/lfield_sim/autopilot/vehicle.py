@@ -34,6 +34,8 @@ NEAR = 3.0
 STILL = 0.05
 #: Per second: how fast PX4 flies for each metre to a setpoint (MPC_XY_P, MPC_Z_P).
 LEVEL_GAIN, HEIGHT_GAIN = 0.95, 1.0
+#: Seconds in which a copter without enough power takes two thirds of the speed at which it sinks.
+SLUGGISH = 1.5
 #: How fast a copter comes down with its throttle down, in m/s.
 SINK = 2.5
 
@@ -104,7 +106,8 @@ class Corral:
 class Vehicle:
     """A copter. `yaw_goal` None turns the nose where it flies; `yaw_rate_goal` (rad/s) goes before both.
 
-    `station` is the place that it goes back to when wind takes it away.
+    `station` is the place that it goes back to when wind takes it away, `sags` the speed in m/s at which it
+    sinks for want of power, whatever is wanted of it.
     """
 
     limits: Limits = field(default_factory=Limits)
@@ -120,6 +123,7 @@ class Vehicle:
     lifting: bool = True
     wind: Wind = field(default_factory=Wind)
     station: tuple[float, float] | None = None
+    sags: float = 0.0
 
     @property
     def airborne(self) -> bool:
@@ -173,6 +177,8 @@ class Vehicle:
         lean = eased(felt, missing, self._strongest(missing), limits.jerk, dt)
         lean = self.wind.bear(lean, before, limits.tilt)
         vertical = _towards(before[2], down, self._vertical(down) * dt)
+        if self.sags:
+            vertical = before[2] + (self.sags - before[2]) * dt / SLUGGISH
         self.velocity = (before[0] + lean[0] * dt, before[1] + lean[1] * dt, vertical)
         self._move(dt)
         self.acceleration = (*lean, (self.velocity[2] - before[2]) / dt)

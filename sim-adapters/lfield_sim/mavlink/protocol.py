@@ -47,7 +47,10 @@ SERVICES: tuple[type[Service], ...] = (
 STATES = {
     "refuse_arming": "refuse_arming",
     "gps_loss": "gps_lost",
+    "gps_glitch": "gps_glitch",
+    "compass_failure": "compass_failed",
     "motor_failure": "motor_failed",
+    "motor_power": "motor_power",
     "sticks": "sticks",
     "warm_up": "warm_up",
 }

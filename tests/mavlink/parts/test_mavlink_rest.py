@@ -225,7 +225,7 @@ class Known:
     """What is known of a vehicle, as Rest and Motion look at it."""
 
     def __init__(self, stack, kind, mode, safe_state="land", **known):
-        self.profile = PROFILES[stack, kind]
+        self.profile, self.kind = PROFILES[stack, kind], kind
         self.silence = 0.1
         self.state = self.binding = self.clock = self
         self.safe_state, self.mode = safe_state, mode

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 import pytest
-from mavlink_client import ACCEPTED, ARM, DENIED, FAILED, GUIDED, MODE, ONCE, STREAM, UNSUPPORTED, Client
+from mavlink_client import ACCEPTED, ARM, DENIED, FAILED, GUIDED, MODE, STREAM, UNSUPPORTED, Client
 from pymavlink.dialects.v20 import all as dialect
 
 from lfield_sim.autopilot.autopilot import FLAVOURS, Autopilot
@@ -184,12 +184,17 @@ def test_gps_loss():
     c.command(STREAM, 33, 100_000)
     c.fault("gps_loss=true")
     c.heard.clear()
-    c.wait(1.2)
-    assert not [m for m in c.heard if m.get_type() == "GLOBAL_POSITION_INT"]
+    c.wait(6.5)
+    # As recorded (gauntlet-a): it goes on as before, and tells a position all the while.
+    assert [m for m in c.heard if m.get_type() == "GLOBAL_POSITION_INT"]
     assert c.ask(24).fix_type == dialect.GPS_FIX_TYPE_NO_FIX
     assert not c.ask(1).onboard_control_sensors_health & 0x20
-    assert c.command(ONCE, 33) == FAILED
+    assert c.autopilot.mode == "GUIDED"
+    c.wait(0.7)
     assert c.autopilot.mode == "LAND"
+    assert c.command(MODE, 1, GUIDED) == FAILED
+    c.wait(0.1)
+    assert {"EKF variance", "Mode change to GUIDED failed: requires position"} <= set(c.texts())
     before = c.place[2]
     c.wait(2.5)
     assert c.place[2] == before, "a failsafe's landing stands still for a while first"

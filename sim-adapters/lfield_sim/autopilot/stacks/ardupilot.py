@@ -9,6 +9,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import replace
 
+from lfield_sim.autopilot.body.estimate import BlindRule
 from lfield_sim.autopilot.flavours import (
     BatteryLevel,
     FenceRule,
@@ -88,11 +89,14 @@ COPTER_FLAVOUR = Flavour(
         cleared_text="Fence breach cleared",
     ),
     position_lost="EKF Failsafe: changed to LAND Mode",
+    blind=BlindRule(
+        7.0, 0.05, 1.3, "EKF Failsafe Cleared", "Mode change to {mode} failed: requires position"
+    ),
     capacity="BATT_CAPACITY",
     # DO_ORBIT is PX4's; ArduCopter circles by its mode CIRCLE.
     unsupported=frozenset({34, 187}),
     # PING, HIGHRES_IMU, ESTIMATOR_STATUS, WIND_COV, ODOMETRY, CURRENT_MODE
-    lacks=frozenset({4, 105, 230, 231, 331, 436}),
+    lacks=frozenset({4, 85, 105, 230, 231, 331, 436}),
     tells_modes=True,
     tells_home=True,
     # TIMESYNC

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
+from lfield_sim.autopilot.body.estimate import BlindRule
 from lfield_sim.autopilot.flavours import (
     BatteryLevel,
     FenceRule,
@@ -91,6 +92,7 @@ FLAVOUR = Flavour(
         pause="COM_FAIL_ACT_T",
     ),
     position_lost="Failsafe activated",
+    blind=BlindRule(5.4, 4.5, refusal="Switching to {mode} is currently not available\t"),
     capacity="BAT1_CAPACITY",
     streams={
         0: 1.0, 1: 5.0, 2: 1.0, 4: 1.0, 24: 8.0, 30: 100.0, 31: 50.0, 32: 30.0, 33: 50.0, 36: 10.0, 42: 1.0,

@@ -21,8 +21,6 @@ LANDING_PAUSE = 4.0
 SETPOINT_ACTIONS = {4: Role.LAND, 5: Role.HOLD}
 #: What PX4 says when it takes over at once.
 FAILSAFE = "Failsafe activated\t"
-#: Seconds without a position after which it is not trusted any more.
-POSITION_LOST = 1.0
 
 
 class Failsafes:
@@ -37,7 +35,6 @@ class Failsafes:
         self._heard_again = False
         self._later: tuple[float, Role] | None = None
         self._low: set[str] = set()
-        self._blind: float = 0.0
         self._was_blind = False
         self._stream_missed = False
         self.fences = Fences(pilot)
@@ -78,7 +75,7 @@ class Failsafes:
             self._check_gcs()
         self._check_setpoints()
         self._check_battery()
-        self._check_position(dt)
+        self._check_position()
         if self._later is not None and self._pilot.now >= self._later[0]:
             (_, role), self._later = self._later, None
             self._pilot.say(FAILSAFE)
@@ -211,12 +208,15 @@ class Failsafes:
 
     # -- position --------------------------------------------------------------------------------------
 
-    def _check_position(self, dt: float) -> None:
+    def _check_position(self) -> None:
         pilot = self._pilot
-        self._blind = self._blind + dt if pilot.gps_lost else 0.0
-        blind = self._blind > POSITION_LOST
+        blind = pilot.estimate.is_lost
+        if self._was_blind and not blind and not self._rules.needs_stream:
+            pilot.critical = False
         if blind and not self._was_blind and pilot.armed and pilot.role is not Role.MANUAL:
             pilot.critical = True
+            if not self._rules.needs_stream:
+                pilot.say("EKF variance")
             pilot.say(self._rules.position_lost)
             pilot.fall_back(Role.LAND, pause=LANDING_PAUSE)
         self._was_blind = blind and pilot.armed

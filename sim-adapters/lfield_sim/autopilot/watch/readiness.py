@@ -47,7 +47,8 @@ def has_origin(pilot: Pilot) -> bool:
 
 def has_position(pilot: Pilot) -> bool:
     """Whether it tells where it is in its frame."""
-    return not pilot.gps_lost and warmth(pilot) >= pilot.kind.warming.position
+    found = not pilot.gps_lost or pilot.armed or pilot.vehicle.airborne
+    return found and warmth(pilot) >= pilot.kind.warming.position
 
 
 def news(pilot: Pilot, dt: float) -> list[str]:
@@ -66,7 +67,8 @@ def news(pilot: Pilot, dt: float) -> list[str]:
 
 def trusts_position(pilot: Pilot) -> bool:
     """Whether its estimator says that it knows the position."""
-    return has_position(pilot) and warmth(pilot) >= pilot.kind.warming.estimate
+    blind = pilot.estimate.blind > 0.85 * pilot.flavour.blind.lasts
+    return has_position(pilot) and not blind and warmth(pilot) >= pilot.kind.warming.estimate
 
 
 def why_unfit(pilot: Pilot) -> Unfit | None:

@@ -19,6 +19,7 @@ BOOTED = 0.07
 #: Seconds since 1970 when the fake's GPS clock begins: 2026-11-01, so that runs are alike.
 EPOCH = 1_793_491_200
 #: MAV_SYS_STATUS_SENSOR: inertial, magnetic, pressure, GPS, control, motors, battery, pre-arm checks.
+COMPASS = 0x4
 GPS, PREARM, FENCE = 0x20, 0x10000000, 0x100000
 SENSORS = 0x1 | 0x2 | 0x4 | 0x8 | GPS | 0x400 | 0x800 | 0x1000 | 0x2000 | 0x4000 | 0x8000 | FENCE
 SENSORS |= 0x200000 | 0x2000000 | PREARM
@@ -92,6 +93,8 @@ def sys_status(autopilot: Autopilot, _: Place) -> Any:
     health = present | PREARM
     if not has_fix(autopilot):
         health &= ~GPS
+    if not autopilot.estimate.has_compass:
+        health &= ~COMPASS
     # PX4 takes the bit away in flight as well.
     if autopilot.unfit and (autopilot.flavour.submodes or not autopilot.armed):
         health &= ~PREARM

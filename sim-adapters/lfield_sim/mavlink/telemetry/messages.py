@@ -7,7 +7,7 @@ from typing import Any
 
 from lfield_sim.autopilot.autopilot import Autopilot
 from lfield_sim.mavlink.geo import Place
-from lfield_sim.mavlink.telemetry import condition, equipment, motion
+from lfield_sim.mavlink.telemetry import condition, equipment, motion, targets
 
 Builder = Callable[[Autopilot, Place], Any]
 
@@ -28,6 +28,8 @@ MESSAGES: Mapping[int, Builder] = {
     49: motion.gps_global_origin,
     65: condition.rc_channels,
     74: motion.vfr_hud,
+    85: targets.position_target_local_ned,
+    87: targets.position_target_global_int,
     105: motion.highres_imu,
     111: condition.timesync,
     147: condition.battery_status,

@@ -8,7 +8,8 @@ from typing import Any
 from pymavlink.dialects.v20 import all as dialect
 
 from lfield_sim.autopilot.autopilot import Autopilot
-from lfield_sim.autopilot.watch.readiness import has_fix
+from lfield_sim.autopilot.body.goals import Vector
+from lfield_sim.autopilot.watch.readiness import has_fix, has_position
 from lfield_sim.autopilot.wind import GRAVITY
 from lfield_sim.mavlink.geo import Place, quaternion
 
@@ -51,24 +52,31 @@ def attitude_quaternion(autopilot: Autopilot, _: Place) -> Any:
     )
 
 
+def estimated(autopilot: Autopilot) -> tuple[Vector, Vector]:
+    """Place and velocity as its estimator has them: without GPS they drift."""
+    vehicle, estimate = autopilot.vehicle, autopilot.estimate
+    north, east, down = (p + o for p, o in zip(vehicle.place, estimate.offset, strict=True))
+    to_north, to_east, to_down = (v + d for v, d in zip(vehicle.velocity, estimate.drift, strict=True))
+    return (north, east, down), (to_north, to_east, to_down)
+
+
 def local_position_ned(autopilot: Autopilot, _: Place) -> Any:
     """LOCAL_POSITION_NED 32, about the origin (not about home)."""
-    vehicle = autopilot.vehicle
-    return dialect.MAVLink_local_position_ned_message(millis(autopilot), *vehicle.place, *vehicle.velocity)
+    place, velocity = estimated(autopilot)
+    return dialect.MAVLink_local_position_ned_message(millis(autopilot), *place, *velocity)
 
 
 def global_position_int(autopilot: Autopilot, place: Place) -> Any:
     """GLOBAL_POSITION_INT 33; all of it nothing before there is a fix."""
-    vehicle = autopilot.vehicle
-    if not has_fix(autopilot):
+    (north, east, down), velocity = estimated(autopilot)
+    if not has_position(autopilot):
         return dialect.MAVLink_global_position_int_message(millis(autopilot), *[0] * 8)
-    north, east, down = vehicle.place
     return dialect.MAVLink_global_position_int_message(
         millis(autopilot),
         *place.at(north, east),
         round((place.altitude - down) * 1000),
         round((autopilot.home[2] - down) * 1000),
-        *(round(v * 100) for v in vehicle.velocity),
+        *(round(v * 100) for v in velocity),
         round(heading(autopilot) * 100) % 36000,
     )
 
@@ -97,6 +105,7 @@ def odometry(autopilot: Autopilot, _: Place) -> Any:
 def gps_raw_int(autopilot: Autopilot, place: Place) -> Any:
     """GPS_RAW_INT 24: a good 3D fix, or none."""
     north, east, down = autopilot.vehicle.place
+    north += autopilot.gps_glitch
     if not has_fix(autopilot):
         return dialect.MAVLink_gps_raw_int_message(
             micros(autopilot), dialect.GPS_FIX_TYPE_NO_FIX, 0, 0, 0, 9999, 9999, 0, 0, 0

@@ -1,0 +1,251 @@
+"""Falls and crashes of a vehicle that flies, from its telemetry. Pure: samples and times in, findings out.
+
+The bounds are those of the recordings. In normal flight ArduCopter and PX4 sink at most 2.0 m/s and tilt at
+most 31 degrees; with one motor at 60 % an ArduCopter tilted 29 degrees, lost 1 m in 1.1 s, sank 1.5 m/s by
+then, and hit the ground at 2.7 m/s 4.2 s after the fault (gauntlet-b). After a forced disarm it fell 1.1 m/s
+within 0.1 s.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass
+
+#: Metres below the lowest height that a motion may have, and m/s downwards there, that are a fall.
+LOST, SINKS = 1.0, 1.0
+#: m/s downwards that are a fall in any case: so much, or a share of the autopilot's own speed of descent.
+FASTEST, SHARE, MORE = 2.6, 1.4, 0.5
+#: Seconds for which it must sink so fast.
+LASTS = 0.25
+#: m/s2 with which a vehicle ends a descent that it was commanded.
+BRAKES = 1.0
+#: Radians from upright, and the seconds for which it must tilt so far.
+TILTS, TILTS_FOR = math.radians(60.0), 0.4
+#: An impact: m/s downwards before, m/s2 at least with which that ended, and metres above home at most; higher
+#: it must be seen to stand.
+HITS, STOPS, LOW = 2.0, 6.0, 2.5
+#: Seconds between two samples in which an impact is looked for.
+GAP = 1.0
+#: m/s downwards without motors that are no touch-down.
+DROPS = 1.5
+#: Seconds without a fall, after which it flies on.
+RECOVERS = 1.0
+#: Seconds in which its clock may have begun anew without a person who switched it off on the ground.
+SILENT = 10.0
+
+#: Texts of a fall, and of a crash. ArduCopter: thrust_loss_check and crash_check; PX4: its failure detector.
+_FALLS = re.compile(
+    r"potential thrust loss|motor failure|attitude failure|critical failure detected|flight termination", re.I
+)
+_CRASHES = re.compile(r"^crash|crash: disarming", re.I)
+#: What only keeps it from being armed.
+_BEFORE = re.compile(r"^(preflight|prearm|arm)\b", re.I)
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """What was found, in words; after a crash it must not fly until a person has seen it."""
+
+    words: str
+    crashed: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Expected:
+    """What a motion may do with the height: metres above home, m/s.
+
+    `goal` is the height that it leads to, infinity for one that only must not sink, None for one that leads
+    down; `sink` is the speed downwards that is commanded.
+    """
+
+    goal: float | None = None
+    sink: float = 0.0
+
+
+#: Of a landing, a return, or a mission.
+DESCENT = Expected()
+
+
+class DescentMonitor:
+    """Watches one vehicle; `falling` and `crashed` say why, '' while it is neither."""
+
+    def __init__(self) -> None:
+        self.falling = self.crashed = ""
+        self._expected, self._fastest = DESCENT, FASTEST
+        # The lowest height that this motion may have (None before a sample), and the highest that it has had.
+        self._floor: float | None = None
+        self._top = -math.inf
+        self._last: tuple[float, float, float] | None = None
+        # Since when it sinks too fast, tilts too far, and is well again.
+        self._sinks_at = self._tilts_at = self._well_at = math.inf
+        self._tilt = 0.0
+        self._hit: Finding | None = None
+        self._stands_at = math.inf
+        self._armed = self._aloft = False
+        # How it dropped when its motors went off, until it is known to have landed.
+        self._off_at = -math.inf
+
+    # -- what it is to do -------------------------------------------------------------------------------
+
+    def expect(self, expected: Expected) -> None:
+        """A motion begins, which may do this with the height."""
+        if expected != self._expected:
+            self._expected, self._floor, self._top = expected, None, -math.inf
+            self.falling, self._sinks_at = "", math.inf
+
+    def may_descend(self, speed: float) -> None:
+        """The autopilot's own speed of descent in m/s, as its parameters have it."""
+        self._fastest = max(FASTEST, SHARE * speed + MORE)
+
+    def clear(self) -> None:
+        """A person has seen to it."""
+        self.falling = self.crashed = ""
+        self._hit = None
+
+    @property
+    def undecided(self) -> bool:
+        """Whether its motors went off in the air, as it seems, and it is not known yet what became of it."""
+        return self._off_at > -math.inf
+
+    # -- telemetry --------------------------------------------------------------------------------------
+
+    def on_armed(self, armed: bool, *, landed: bool | None, now: float) -> Finding | None:
+        """Whether its motors are on, and whether it says that it stands."""
+        before, self._armed = self._armed, armed
+        if armed:
+            self._aloft = landed is False or (self._aloft and landed is None)
+            if self._aloft:
+                self._off_at = -math.inf
+        elif before and self._aloft:
+            # ArduPilot says that it has landed whenever its motors are off: only a drop tells.
+            self._aloft, self._off_at = False, now
+        if not armed and now - self._off_at > RECOVERS + GAP:
+            self._off_at = -math.inf
+        return self._stood(landed, now)
+
+    def on_motion(self, height: float, sink: float, now: float, *, judged: bool) -> Finding | None:
+        """A sample: metres above home, m/s downwards; `judged` is whether its motion is the program's."""
+        last, self._last = self._last, (now, height, sink)
+        found = self._dropped(height, sink) or self._impact(last, height, sink, now)
+        if found is not None or not (judged and self._armed and self._aloft):
+            self._sinks_at = math.inf
+            return found
+        self._move_floor(height, sink)
+        why = self._why_falling(height, sink)
+        if not why:
+            self._sinks_at = math.inf
+            self._recover(sink, now)
+            return None
+        self._sinks_at, self._well_at = min(self._sinks_at, now), math.inf
+        return self._falls(why) if now - self._sinks_at >= LASTS else None
+
+    def on_attitude(self, roll: float, pitch: float, now: float, *, judged: bool) -> Finding | None:
+        """A sample, in radians."""
+        self._tilt = math.acos(max(-1.0, min(1.0, math.cos(roll) * math.cos(pitch))))
+        if not self._armed or self._tilt < TILTS:
+            self._tilts_at = math.inf
+            return None
+        self._tilts_at = min(self._tilts_at, now)
+        if now - self._tilts_at < TILTS_FOR:
+            return None
+        words = f"it is tilted by {math.degrees(self._tilt):.0f} degrees"
+        last = self._last
+        if last is not None and last[1] <= LOW and abs(last[2]) < 0.5:
+            return self._crash(f"{words} on the ground, with its motors on")
+        return self._falls(words) if judged else None
+
+    def on_text(self, text: str) -> Finding | None:
+        """What the autopilot says."""
+        if not self._armed and not self._off_at > -math.inf:
+            return None
+        if _CRASHES.search(text):
+            return self._crash(f"the autopilot says: {text}")
+        if _FALLS.search(text) and not _BEFORE.search(text):
+            return self._falls(f"the autopilot says: {text}")
+        return None
+
+    def on_restart(self, silent: float) -> Finding | None:
+        """Its clock has begun anew, after so many seconds without a word of it."""
+        if not (self._armed and self._aloft) or silent > SILENT:
+            return None
+        self._aloft = False
+        return self._crash("its autopilot restarted in the air")
+
+    # -- decisions --------------------------------------------------------------------------------------
+
+    def _move_floor(self, height: float, sink: float) -> None:
+        """The floor of a climb rises with it, up to its goal; what sinks at first may brake."""
+        goal = self._expected.goal
+        if goal is None:
+            return
+        if self._floor is None:
+            self._floor = height - max(0.0, sink) ** 2 / (2.0 * BRAKES)
+        self._top = max(self._top, height)
+        self._floor = min(goal, max(self._floor, self._top if sink < SINKS else self._floor))
+
+    def _why_falling(self, height: float, sink: float) -> str:
+        fastest = max(self._fastest, SHARE * self._expected.sink + MORE)
+        if sink > fastest:
+            return f"it sinks at {sink:.1f} m/s, {height:.1f} m above home"
+        if self._floor is not None and height < self._floor - LOST and sink > SINKS:
+            return f"it falls: {self._floor - height:.1f} m too low and sinking at {sink:.1f} m/s"
+        return ""
+
+    def _recover(self, sink: float, now: float) -> None:
+        if not self.falling or sink > SINKS / 2.0 or self._tilt >= TILTS:
+            self._well_at = math.inf
+            return
+        self._well_at = min(self._well_at, now)
+        if now - self._well_at >= RECOVERS:
+            self.falling = ""
+
+    def _dropped(self, height: float, sink: float) -> Finding | None:
+        """Whether its motors went off in the air: then it falls."""
+        if self._off_at == -math.inf or sink < DROPS:
+            return None
+        self._off_at = -math.inf
+        return self._crash(f"its motors went off in the air, {height:.1f} m above home, and it fell")
+
+    def _impact(
+        self, last: tuple[float, float, float] | None, height: float, sink: float, now: float
+    ) -> Finding | None:
+        """Whether a descent ended more suddenly than a vehicle brakes."""
+        if last is None:
+            return None
+        at, was, fell = last
+        took = now - at
+        if not 0.0 < took <= GAP or fell < HITS or sink > fell / 2.0:
+            return None
+        needed = fell**2 / (2.0 * max(was, 0.05)) if was <= LOW else 0.0
+        if max((fell - sink) / took, needed) < STOPS:
+            return None
+        words = f"it hit the ground at {fell:.1f} m/s"
+        if height <= LOW:
+            return self._crash(words)
+        # On a hill, say: it stands there, or it has only braked.
+        self._hit, self._stands_at = Finding(words, crashed=True), now
+        return None
+
+    def _stood(self, landed: bool | None, now: float) -> Finding | None:
+        hit = self._hit
+        if hit is None:
+            return None
+        if now - self._stands_at > 3.0 * RECOVERS:
+            self._hit = None
+        elif (landed or not self._armed) and self._last is not None and abs(self._last[2]) < 0.5:
+            self._hit = None
+            return self._crash(hit.words)
+        return None
+
+    def _falls(self, words: str) -> Finding | None:
+        if self.falling or self.crashed:
+            return None
+        self.falling, self._well_at = words, math.inf
+        return Finding(words)
+
+    def _crash(self, words: str) -> Finding | None:
+        if self.crashed:
+            return None
+        self.falling = self.crashed = words
+        return Finding(words, crashed=True)

@@ -1,0 +1,322 @@
+"""The monitors of one vehicle: its messages in, exceptions for motions and lock-outs for crashes out."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from typing import Any
+
+from lfield.driver import DeviceError
+from lfield_mavlink.contact.contact import Contact
+from lfield_mavlink.geo import Place, Vector
+from lfield_mavlink.link.dialect import dialect
+from lfield_mavlink.modes import ARDUPILOT, PX4
+from lfield_mavlink.monitors.descent import DESCENT, DescentMonitor, Expected, Finding
+from lfield_mavlink.monitors.position import PositionMonitor
+from lfield_mavlink.monitors.target import DepartureMonitor, TargetMonitor
+from lfield_mavlink.services.parameters import Parameters
+from lfield_mavlink.setpoints.orders import Order
+from lfield_mavlink.setpoints.target import ONLY_POSITION, POSITION_AND_YAW, Target
+
+#: Seconds until it is known what became of a vehicle whose motors went off in the air.
+SETTLES = 2.5
+#: Seconds for a second receiver to answer, and after which it is asked again.
+SECOND, AGAIN = 0.3, 1.0
+#: Seconds until the speeds of descent are read, and until they are read again.
+FIRST, LOOK = 2.0, 60.0
+#: What needs no position, of what may be ordered.
+NEEDS_NONE = ("land", "arm", "disarm", "mode ")
+#: MAV_FRAME whose heights are above mean sea level.
+ABOVE_SEA = (dialect.MAV_FRAME_GLOBAL, dialect.MAV_FRAME_GLOBAL_INT)
+#: type_mask: no place over ground, no height.
+NO_PLACE, NO_HEIGHT = 0x3, 0x4
+#: m/s: the autopilot's own speeds of descent. Each has the names of one parameter by version, with how many
+#: of its unit are 1 m/s; https://ardupilot.org/copter/docs/parameters.html, and PX4's parameter reference.
+DESCENTS: Mapping[tuple[int, str], tuple[Mapping[str, float], ...]] = {
+    (ARDUPILOT, "copter"): (
+        {"WP_SPD_DN": 1.0, "WPNAV_SPEED_DN": 100.0},
+        {"LAND_SPD_HIGH_MS": 1.0, "LAND_SPEED_HIGH": 100.0},
+    ),
+    (PX4, "copter"): ({"MPC_Z_VEL_MAX_DN": 1.0},),
+}
+
+
+class FlightMonitor:
+    """Watches one vehicle.
+
+    `others` names who else has just commanded it, as far as that is heard; `is_ours` says whether this
+    program chose its mode.
+    """
+
+    def __init__(self, vehicle: Contact, parameters: Parameters) -> None:
+        self._vehicle, self._state, self._parameters = vehicle, vehicle.state, parameters
+        self._descent, self._position = DescentMonitor(), PositionMonitor()
+        self._target, self._departure = TargetMonitor(level=vehicle.state.kind != "rover"), DepartureMonitor()
+        self.others: Callable[[], str] = lambda: ""
+        self.is_ours: Callable[[], bool] = lambda: True
+        #: Who has sent it elsewhere, in words, until it is released or on the ground; '' while nobody has.
+        self.foreign = ""
+        # The modes of the last order, in which its targets are compared.
+        self._modes: frozenset[str] = frozenset()
+        self._booted, self._booted_at = 0, -math.inf
+        self._second_at = -math.inf
+        handlers = {
+            dialect.MAVLINK_MSG_ID_HEARTBEAT: self._on_heartbeat,
+            dialect.MAVLINK_MSG_ID_CURRENT_MODE: self._on_mode,
+            dialect.MAVLINK_MSG_ID_LOCAL_POSITION_NED: self._on_position,
+            dialect.MAVLINK_MSG_ID_ATTITUDE: self._on_attitude,
+            dialect.MAVLINK_MSG_ID_STATUSTEXT: self._on_text,
+            dialect.MAVLINK_MSG_ID_GPS_RAW_INT: self._on_gps,
+            dialect.MAVLINK_MSG_ID_GPS2_RAW: self._on_second_gps,
+            dialect.MAVLINK_MSG_ID_EKF_STATUS_REPORT: self._on_estimate,
+            dialect.MAVLINK_MSG_ID_ESTIMATOR_STATUS: self._on_estimate,
+            dialect.MAVLINK_MSG_ID_POSITION_TARGET_GLOBAL_INT: self._on_global_target,
+            dialect.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED: self._on_local_target,
+        }
+        for kind, handler in handlers.items():
+            vehicle.on(kind, handler)
+
+    # -- what is asked ------------------------------------------------------------------------------------
+
+    @property
+    def crashed(self) -> str:
+        """Why it must not fly before a person has seen it, '' while it may."""
+        return self._descent.crashed
+
+    @property
+    def falling(self) -> str:
+        """Why it falls, '' while it does not."""
+        return self._descent.falling
+
+    @property
+    def lost_position(self) -> str:
+        """Why it does not know where it is, '' while it does; at rest that does not matter."""
+        return self._position.lost(self._now) if self._state.armed and self._is_judged_by_place else ""
+
+    def check_begin(self, what: str) -> None:
+        """A motion is to begin. Raises DeviceError when it must not, or needs a position that is lost."""
+        if self.crashed:
+            raise self._vehicle.error(
+                f"{what} refused: {self.crashed}. It must be inspected; then an operator ends the lock-out "
+                "by 'lfield estop --lift', and release() takes it back"
+            )
+        if (lost := self.lost_position) and not what.startswith(NEEDS_NONE):
+            raise self._vehicle.error(f"{what} refused: {lost}; land() needs no position")
+        self._departure = DepartureMonitor()
+        self._expect(DESCENT)
+
+    async def check(self, what: str, order: Order, left: float) -> None:
+        """A motion goes on, `left` metres from its goal. Raises DeviceError when it must not."""
+        await self.settle()
+        descent = self._descent
+        if descent.falling:
+            raise self._vehicle.error(f"{what} ended early: {descent.falling}")
+        if self.lost_position and what != "land" and not await self._has_second():
+            raise self._vehicle.error(f"{what} ended early: {self.lost_position}; land() needs no position")
+        if self.foreign:
+            raise self._vehicle.error(f"{what} ended early: {self.foreign}; release() takes it back")
+        copter = self._vehicle.profile.kind == "copter"
+        if copter and order.leads and self._departure.is_leaving(left, self._now):
+            raise self._vehicle.error(
+                f"{what} ended early: it flies away from its goal, {left:.1f} m from it{self.others()}"
+            )
+
+    async def settle(self) -> None:
+        """Wait until it is known what became of a vehicle whose motors went off in the air, if they did."""
+        await self._vehicle.seen(lambda: not self._descent.undecided, SETTLES)
+
+    def safe_mode(self, state: str) -> str:
+        """The mode for a safe state: without a position there is only a landing."""
+        profile = self._vehicle.profile
+        return profile.land if self.lost_position and profile.kind == "copter" else profile.safe(state)
+
+    # -- what is done -------------------------------------------------------------------------------------
+
+    def on_order(self, order: Order) -> None:
+        """An order begins."""
+        self._target.clear()
+        self._modes = order.modes
+        if not order.leads:
+            return
+        self._expect(Expected(math.inf if order.goal is None else -order.goal[2]))
+        if order.command is not None and order.command.place is not None and order.goal is not None:
+            self._sent(order.goal)
+
+    def on_mode(self, mode: str) -> None:
+        """A mode is commanded, in which there are no targets of this program."""
+        self._target.clear()
+        self._modes = frozenset()
+        profile = self._vehicle.profile
+        self._expect(Expected(math.inf) if mode in (profile.hold, profile.guided) else DESCENT)
+
+    def on_sent(self, target: Target) -> None:
+        """A setpoint is sent."""
+        if target.mask in (ONLY_POSITION, POSITION_AND_YAW):
+            self._modes |= {self._vehicle.profile.guided}
+            self._sent(target.place)
+            return
+        self._target.clear()
+        down = target.velocity[2]
+        self._expect(Expected(None if down > 0.0 else math.inf, max(0.0, down)))
+
+    def release(self) -> None:
+        """The program takes it back, after whatever a person has allowed."""
+        self.foreign = ""
+        self._target.clear()
+        self._descent.clear()
+
+    async def keep(self) -> None:
+        """Read how fast the autopilot descends by its own parameters, again and again, until cancelled."""
+        await asyncio.sleep(FIRST)
+        asked = list(DESCENTS.get((self._state.autopilot, self._state.kind), ()))
+        speeds: dict[str, float] = {}
+        while asked:
+            for names in asked:
+                if self._vehicle.lost or self._vehicle.quiet:
+                    continue
+                with suppress(DeviceError):
+                    name, value = await self._parameters.read_any(names)
+                    if value is not None and math.isfinite(value):
+                        speeds[name] = value / names[name]
+            self._descent.may_descend(max(speeds.values(), default=0.0))
+            await asyncio.sleep(LOOK)
+            # What it does not have it does not get either.
+            asked = [names for names in asked if not speeds.keys().isdisjoint(names)]
+
+    # -- messages -----------------------------------------------------------------------------------------
+
+    def _on_heartbeat(self, message: Any) -> None:
+        state = self._state
+        if not state.armed:
+            self.foreign = ""
+        self._take(self._descent.on_armed(state.armed, landed=self._landed, now=self._now))
+        self._on_mode(message)
+
+    def _on_mode(self, _: Any) -> None:
+        """A target that is not ours is a takeover, once it is known that the mode is still ours."""
+        if self._state.mode not in self._modes or not self._state.armed or self.foreign:
+            return
+        far = self._target.on_guided(self._now)
+        if far is not None:
+            self.foreign = f"another station has sent it elsewhere, {far:.0f} m from its goal{self.others()}"
+            self._vehicle.note(f"taken over: {self.foreign}. release() takes it back")
+
+    def _on_position(self, message: Any) -> None:
+        state = self._state
+        self._look_at_clock(message.time_boot_ms)
+        if state.height is None or not math.isfinite(message.vz):
+            return
+        found = self._descent.on_motion(state.height, message.vz, self._now, judged=self._is_judged)
+        self._take(found)
+
+    def _on_attitude(self, message: Any) -> None:
+        if math.isfinite(message.roll) and math.isfinite(message.pitch):
+            found = self._descent.on_attitude(message.roll, message.pitch, self._now, judged=self._is_judged)
+            self._take(found)
+
+    def _on_text(self, message: Any) -> None:
+        now = self._now
+        for text in self._vehicle.texts.since(now):
+            self._take(self._descent.on_text(text))
+
+    def _look_at_clock(self, booted: int) -> None:
+        now = self._now
+        if booted < self._booted - 1000.0:
+            self._take(self._descent.on_restart(now - self._booted_at))
+            self._position.restart()
+        self._booted, self._booted_at = booted, now
+
+    def _on_gps(self, message: Any) -> None:
+        self._position.on_fix(0, message.fix_type, self._now)
+
+    def _on_second_gps(self, message: Any) -> None:
+        self._position.on_fix(1, message.fix_type, self._now)
+
+    def _on_estimate(self, message: Any) -> None:
+        self._position.on_estimate(message.flags)
+
+    def _on_global_target(self, message: Any) -> None:
+        """The goal of ArduPilot, and of PX4 in a mode of its own; in OFFBOARD it tells one of before."""
+        state = self._state
+        if self._vehicle.state.profile is None or message.type_mask & NO_PLACE:
+            return
+        if self._vehicle.profile.px4 and state.mode == self._vehicle.profile.guided:
+            return
+        place = Place(message.lat_int / 1e7, message.lon_int / 1e7, message.alt)
+        if state.origin is not None:
+            north, east, down = state.origin.to(place, state.radius)
+        elif state.home is not None:
+            north, east, down = (
+                w + h for w, h in zip(state.home.to(place, state.radius), state.home_offset, strict=True)
+            )
+        else:
+            return
+        level = message.coordinate_frame in ABOVE_SEA and not message.type_mask & NO_HEIGHT
+        self._target.on_told((north, east, down if level and state.origin else math.nan), self._now)
+
+    def _on_local_target(self, message: Any) -> None:
+        """The setpoint of PX4 in OFFBOARD; in its own modes it tells where it is going next."""
+        if self._state.profile is None or not self._vehicle.profile.px4 or message.type_mask & NO_PLACE:
+            return
+        place = (message.x, message.y, message.z)
+        if self._state.mode == self._vehicle.profile.guided and all(map(math.isfinite, place[:2])):
+            self._target.on_told(place, self._now)
+
+    # -- steps --------------------------------------------------------------------------------------------
+
+    @property
+    def _now(self) -> float:
+        return self._vehicle.clock.monotonic()
+
+    @property
+    def _flies(self) -> bool:
+        return self._state.profile is not None and self._state.profile.flies
+
+    @property
+    def _landed(self) -> bool | None:
+        """What does not fly never is in the air."""
+        return self._state.landed if self._flies else True
+
+    @property
+    def _is_judged(self) -> bool:
+        """Whether what it does with its height is this program's, and that of a copter."""
+        copter = self._state.profile is not None and self._state.profile.kind == "copter"
+        return copter and self.is_ours()
+
+    @property
+    def _is_judged_by_place(self) -> bool:
+        """A submarine has no GPS under water."""
+        return self._state.kind != "submarine" and (not self._flies or self._state.landed is False)
+
+    def _expect(self, expected: Expected) -> None:
+        self._descent.expect(expected)
+
+    def _sent(self, place: Vector) -> None:
+        local, state = self._local(place), self._state
+        rests = None if state.position is None else self._local(state.position)
+        self._target.on_sent(local, self._now, rests)
+
+    def _local(self, place: Vector) -> Vector:
+        """A place about home in the autopilot's local frame."""
+        north, east, down = (p + h for p, h in zip(place, self._state.home_offset, strict=True))
+        return north, east, down
+
+    async def _has_second(self) -> bool:
+        """Whether a second receiver has a fix: it is asked, since it does not tell by itself."""
+        if self._now - self._second_at > AGAIN:
+            self._second_at = self._now
+            number = float(dialect.MAVLINK_MSG_ID_GPS2_RAW)
+            await self._vehicle.exchange.command(
+                dialect.MAV_CMD_REQUEST_MESSAGE, number, once=True, patience=SECOND
+            )
+            await self._vehicle.seen(lambda: not self.lost_position, SECOND)
+        return not self.lost_position
+
+    def _take(self, found: Finding | None) -> None:
+        if found is None:
+            return
+        self._vehicle.note(f"{'crashed' if found.crashed else 'falling'}: {found.words}")
+        if found.crashed:
+            self._vehicle.lock_out(f"it crashed: {found.words}")

@@ -1,0 +1,59 @@
+"""Where an autopilot is going, as it tells: POSITION_TARGET_LOCAL_NED 85 and POSITION_TARGET_GLOBAL_INT 87.
+
+ArduPilot tells the goal of GUIDED, wherever that came from; PX4 that of a mode of its own as 87, and its
+setpoint as 85, which are no numbers while it follows none (ap-rover.c-speed, px4-copter.c-speed).
+
+So a driver can see that another station has sent it elsewhere: an ArduCopter follows the last setpoint,
+whoever sent it.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from pymavlink.dialects.v20 import all as dialect
+
+from lfield_sim.autopilot.autopilot import Autopilot
+from lfield_sim.autopilot.body.goals import Keep, Reach, Track, Vector
+from lfield_sim.autopilot.flavours import Role
+from lfield_sim.mavlink.geo import Place
+from lfield_sim.mavlink.telemetry.motion import millis
+
+#: type_mask: nothing counts but the position, and nothing but acceleration and heading.
+ONLY_POSITION, NO_SETPOINT = 0xFDF8, 0x3F
+NOWHERE: Vector = (math.nan, math.nan, math.nan)
+
+
+def goal_of(autopilot: Autopilot) -> Vector | None:
+    """The place in the local frame that it goes to and would tell; None where it tells none."""
+    goal, px4 = autopilot.vehicle.goal, autopilot.flavour.needs_stream
+    guided = autopilot.role is Role.GUIDED
+    if not autopilot.armed or not isinstance(goal, Reach) or guided == px4:
+        return None
+    return goal.place
+
+
+def position_target_global_int(autopilot: Autopilot, place: Place) -> Any:
+    """POSITION_TARGET_GLOBAL_INT 87, with a height above mean sea level."""
+    north, east, down = goal_of(autopilot) or autopilot.vehicle.place
+    mask, frame = (0, 5) if autopilot.flavour.needs_stream else (ONLY_POSITION, 0)
+    return dialect.MAVLink_position_target_global_int_message(
+        millis(autopilot), frame, mask, *place.at(north, east), place.altitude - down, *[0.0] * 8
+    )
+
+
+def position_target_local_ned(autopilot: Autopilot, _: Place) -> Any:
+    """POSITION_TARGET_LOCAL_NED 85, PX4's: the setpoint that its control follows now."""
+    position, velocity, mask = NOWHERE, NOWHERE, NO_SETPOINT
+    match autopilot.vehicle.goal:
+        case Track(place, speed):
+            position, velocity, mask = place, speed, 0
+        case Reach():
+            # Its own trajectory, a little ahead of it.
+            position, velocity, mask = autopilot.vehicle.place, autopilot.vehicle.velocity, 0
+        case Keep(speed):
+            velocity, mask = speed, 0
+    return dialect.MAVLink_position_target_local_ned_message(
+        millis(autopilot), 1, mask, *position, *velocity, *[0.0] * 5
+    )

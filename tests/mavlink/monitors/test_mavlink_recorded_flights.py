@@ -1,0 +1,135 @@
+"""The monitors on recordings of real autopilots: no false alarm in normal flights, and faults in time."""
+
+from __future__ import annotations
+
+import pytest
+from recorded_flight import Watched
+
+PATROL = ((40.0, 0.0, -8.0), (0.0, 0.0, -8.0))
+
+
+def watch(name, *goals, **given):
+    watched = Watched(name, *goals)
+    for _ in watched.play(**given):
+        pass
+    return watched
+
+
+NORMAL = [
+    ("ap-copter.loss20", PATROL),
+    ("ap-copter.delay500", PATROL),
+    ("ap-copter.ops-0", ((0.0, 0.0, -6.0),)),
+    ("ap-copter.deaths-33", ((200.0, 0.0, -8.0),)),
+    ("px4-copter.deaths-6", ((200.0, 0.0, -8.0),)),
+]
+#: Flown by scripts: what they wanted of the height is not known, only that nothing has failed.
+SCRIPTED = [
+    "ap-copter.c-speed",
+    "ap-copter.d-velocity",
+    "ap-copter.e-gcs-loss",
+    "ap-copter.f-fence-breach",
+    "ap-copter.f-fence-landing",
+    "ap-copter.g-mission",
+    "ap-copter.i-heights",
+    "ap-copter.i-home-moves",
+    "px4-copter.c-speed",
+    "px4-copter.d-velocity",
+    "px4-copter.e-gcs-loss",
+    "px4-copter.f-fence-landing",
+    "px4-copter.g-mission",
+    "px4-copter.i-heights",
+    "px4-copter.i-home-moves",
+]
+
+
+@pytest.mark.parametrize(("name", "goals"), NORMAL)
+def test_nothing_is_found_in_flights_in_which_nothing_fails(name, goals):
+    watched = watch(name, *goals)
+    assert watched.found == []
+    assert watched.reports.lock_outs == []
+
+
+@pytest.mark.few(4)
+@pytest.mark.parametrize("name", SCRIPTED)
+def test_nothing_is_found_in_flights_of_others(name):
+    watched = watch(name)
+    assert watched.found == []
+    assert watched.reports.lock_outs == []
+
+
+def faulty(name, note, *, within=60.0, goals=PATROL):
+    """What is found from the note of a fault on: seconds after it, in words; and the vehicle."""
+    watched, begins = Watched(name, *goals), None
+    for event in watched.play():
+        if note in event.note and begins is None:
+            begins = event.at
+            watched.found.clear()
+            watched.monitor.release()
+        if begins is not None and event.at > begins + within:
+            break
+    return [(at - begins, words) for at, words in watched.found], watched
+
+
+def test_a_weak_motor_is_a_fall_long_before_the_ground():
+    """It hit the ground 4.2 s after the fault; "Potential Thrust Loss" came after 3.1."""
+    found, watched = faulty("ap-copter.gauntlet-b", "set SIM_ENGINE_FAIL = 1", within=10.0)
+    (falls_at, falls), (crashes_at, crashes) = found
+    assert falls.startswith("it falls: ")
+    assert falls_at < 2.0
+    assert crashes == "it hit the ground at 2.7 m/s"
+    assert 4.0 < crashes_at < 5.0
+    assert watched.reports.lock_outs == [f"it crashed: {crashes}"]
+    assert watched.monitor.crashed == crashes
+
+
+def test_motors_that_go_off_in_the_air_are_a_crash_before_the_ground():
+    """It hit the ground at 11 m/s 1.3 s after; that it could be armed 0.1 s later is how it went on."""
+    found, watched = faulty(
+        "ap-copter.gauntlet-b", "forced disarm by a second station in the air", within=1.3
+    )
+    ((at, words),) = found
+    assert words.startswith("its motors went off in the air, ")
+    assert at < 0.8
+    assert watched.reports.lock_outs[-1] == f"it crashed: {words}"
+
+
+def test_a_termination_in_flight_is_a_fall():
+    watched = watch("px4-copter.g-commands-armed")
+    assert [words.split(" ")[1] for _, words in watched.found][:1] in (["sinks"], ["falls:"], ["is"])
+
+
+def test_a_lost_gps_is_known_within_two_seconds_of_its_fix():
+    """Its mode was the same for 7 s more, and so was the health of its sensors."""
+    watched, fix_lost = Watched("ap-copter.gauntlet-a", *PATROL), None
+    for event in watched.play():
+        message = event.message
+        told = message is not None and message.get_type() == "GPS_RAW_INT" and watched.vehicle.state.armed
+        if told and message.fix_type < 3 and fix_lost is None:
+            fix_lost = event.at
+        if fix_lost is not None and watched.monitor.lost_position:
+            break
+    assert event.at - fix_lost < 1.0
+    assert watched.vehicle.state.mode == "GUIDED"
+    assert "no fix" in watched.monitor.lost_position
+
+
+@pytest.mark.parametrize(
+    ("name", "begins", "ends"),
+    [
+        ("ap-copter.gauntlet-a", "base: begins", "GPS off for 25 s: begins"),
+        ("ap-copter.gauntlet-a", "all compasses fail", "fence of 15 m switched on"),
+        ("ap-copter.gauntlet-a", "battery low", "battery low (10 V), BATT_FS_LOW_ACT 1 land: ends"),
+        ("ap-copter.gauntlet-b", "wind 9 m/s from the north: begins", "motor 1 at 60 %: begins"),
+    ],
+)
+def test_wind_glitches_compasses_fences_and_batteries_are_no_falls(name, begins, ends):
+    watched, on = Watched(name, *PATROL), False
+    for event in watched.play():
+        if begins in event.note:
+            on = True
+            watched.found.clear()
+        if on and ends in event.note:
+            break
+    assert on
+    assert watched.found == []
+    assert watched.reports.lock_outs == []
