@@ -34,8 +34,8 @@ async def _no_gate(_: int) -> None:
 class Exchange:
     """The open questions of a station to one vehicle, both by their system ids.
 
-    `send` takes a message, `heard` says whether the vehicle is heard. `gate` is waited for before each command,
-    with its number; it raises DeviceError when it may not go out.
+    `send` takes a message, `heard` says whether the vehicle is heard. `gate` is waited for before each
+    command, with its number; it raises DeviceError when it may not go out.
     `px4` is set when the autopilot is known: PX4 wants NaN for what is not used, ArduPilot 0.
     """
 
