@@ -20,7 +20,6 @@ from lfield_sim.autopilot.pilot import Pilot
 from lfield_sim.autopilot.stacks import ardupilot, px4
 from lfield_sim.autopilot.watch.failsafes import Failsafes
 from lfield_sim.autopilot.watch.readiness import Unfit, news, why_unfit
-from lfield_sim.autopilot.watch.sticks import hand_over
 
 #: Every vehicle there is, by flavour and kind.
 FLAVOURS: Mapping[str, Mapping[str, Kind]] = {"ardupilot": ardupilot.KINDS, "px4": px4.KINDS}
@@ -78,7 +77,6 @@ class Autopilot(Pilot):
         ):
             self.say(text)
         self.failsafes.check(dt)
-        hand_over(self)
         if self.flavour.drifts:
             self.homing.step(dt, self.vehicle.place, flying=self.vehicle.airborne)
         self.vehicle.limits.cruise = self.pace.speed
