@@ -22,6 +22,7 @@ from lfield_sim.mavlink.telemetry.motion import millis
 
 #: type_mask: nothing counts but the position, and nothing but acceleration and heading.
 ONLY_POSITION, NO_SETPOINT = 0xFDF8, 0x3F
+#: What PX4 tells while it follows no place or no velocity.
 NOWHERE: Vector = (math.nan, math.nan, math.nan)
 
 
