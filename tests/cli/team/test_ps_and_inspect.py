@@ -102,7 +102,7 @@ def test_all_that_a_host_tells_as_json_and_as_a_table(capsys):
             "up": 2.5,
             "program": "70" * 8,
             "deployment": "64" * 8,
-            "bundle": {"digest": "000102030405", "signed_by": "anna\x1b", "signed": 1_795_464_000.0},
+            "bundle": {"digest": "0001020304050607", "signed_by": "anna\x1b", "signed": 1_795_464_000.0},
             "agents": [
                 {
                     "id": "near",
