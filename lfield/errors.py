@@ -249,6 +249,21 @@ class GreetingError(LfieldError):
     exit_status = exits.PROTOCOL
 
 
+class OverBudget(WireError):
+    """A member of the team whose messages take more processing time than its budget.
+
+    `ration` is its part of one processor; `closes` says that its link is closed, `seconds` over budget.
+    """
+
+    def __init__(self, ration: float, seconds: float, *, closes: bool) -> None:
+        self.ration, self.seconds, self.closes = ration, seconds, closes
+        for_so_long = f" for {seconds:g} s" if closes else ""
+        super().__init__(
+            f"its messages have taken more than {ration:.0%} of this computer's processor{for_so_long}, and "
+            "more are waiting"
+        )
+
+
 class AddressError(LfieldError):
     """An address that cannot be listened on or reached."""
 

@@ -164,6 +164,11 @@ def spawn(work: Coroutine[Any, Any, None]) -> asyncio.Task[None]:
     return task
 
 
+def abandon(task: asyncio.Task[Any]) -> None:
+    """Drop the reference to a task whose loop will never run again: a killed process of a simulation."""
+    _tasks.discard(task)
+
+
 def _ended(task: asyncio.Task[None]) -> None:
     _tasks.discard(task)
     if not task.cancelled() and (error := task.exception()) is not None:

@@ -23,7 +23,9 @@ SAFE_AGAIN, SAFE_BY = 0.2, 5.0
 HALTS_BY = 10.0
 #: Seconds without coming closer after which a travel has failed, and what counts as closer, in rad.
 STUCK, CLOSER = 3.0, 1e-4
-#: A speed that has been rounded may be above its limit by so much, relatively.
+#: A position that has been rounded may be beyond its bound by so much, in rad.
+ROUNDING_POSITION = 1e-9
+#: A value that has been rounded may be beyond its limit by so much, relatively.
 ROUNDING = 1.0 + 1e-9
 
 
@@ -48,6 +50,7 @@ class CanAxis(Device):
         self._last_velocity: float | None = None
         self._lost = self._quiet = self._found = self._opened = False
         self._polled = 0.0
+        self._conflict_told = ""
 
     # -- frames and signs of life -----------------------------------------------------------------------
 
@@ -87,14 +90,18 @@ class CanAxis(Device):
 
     async def watch(self) -> None:
         """Tell when the device is lost and found; bring it back standing still; poll it."""
+        told = ""
         while True:
             await asyncio.sleep(LOOK)
             if not self._opened:
                 continue
             try:
                 await self._look()
+                told = ""
             except DeviceError as error:
-                self.note(f"{error.reason}; trying again")
+                if error.reason != told:
+                    self.note(f"{error.reason}; trying again")
+                told = error.reason
                 await asyncio.sleep(POLL)
 
     async def _look(self) -> None:
@@ -109,6 +116,7 @@ class CanAxis(Device):
             else:
                 # Nobody knows what it did meanwhile: it comes back standing.
                 await self.make_safe()
+        await self._look_at_conflict()
         if self.protocol.state.enabled and self._runs_out:
             self.note("it was leaving its bounds and is stopped")
             await self._make_safe("brake")
@@ -120,6 +128,19 @@ class CanAxis(Device):
         if self.clock.monotonic() - self._polled >= POLL:
             self._polled = self.clock.monotonic()
             self.publish(**await self.protocol.poll())
+
+    async def _look_at_conflict(self) -> None:
+        """Two devices with one id follow every command: they are told of once, and stopped."""
+        if self.protocol.needs_setup:
+            return  # the set-up tells of it
+        conflict, told = self.protocol.conflict, self._conflict_told
+        self._conflict_told = conflict
+        if conflict and not told:
+            self.note(f"{conflict}; motion is refused")
+            if self.protocol.state.enabled:
+                await self._make_safe(self.safe_state)
+        elif told and not conflict:
+            self.note("one device has its id again")
 
     async def _open(self) -> str:
         await self._find()
@@ -309,6 +330,8 @@ class CanAxis(Device):
 
     def _check_set_up(self, what: str) -> None:
         self._check_heard()
+        if self.protocol.conflict:
+            raise self.error(f"{what} refused: {self.protocol.conflict}")
         if self.protocol.needs_setup:
             raise self.error(f"{what} refused: the device has restarted and is being set up again")
 
@@ -332,7 +355,7 @@ class CanAxis(Device):
         lowest, highest = self.binding.option("lowest"), self.binding.option("highest")
         if not math.isfinite(position):
             raise self.error(f"{what} needs a finite number, not {position}")
-        if not lowest <= position <= highest:
+        if not lowest - ROUNDING_POSITION <= position <= highest + ROUNDING_POSITION:
             raise self.error(f"{what} refused: {position:g} rad is outside {lowest:g} to {highest:g} rad")
         if not self.protocol.state.referenced and not self.binding.waives("no_homing"):
             raise self.error(

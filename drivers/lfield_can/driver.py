@@ -7,10 +7,13 @@ from collections.abc import Callable, Mapping, Sequence
 from lfield.driver import Clock, DeviceBinding, Driver, Manifest, Reports
 from lfield_can.axis import CanAxis
 from lfield_can.bus.bus import Bus
-from lfield_can.bus.frames import Frame
+from lfield_can.bus.frames import Frame, group_of
 from lfield_can.protocols.cia402_tables import EVERY
 from lfield_can.signals import CanSignals
 from lfield_can.timing import Sync
+
+#: Ids of others on the bus that are kept, and how many an error shows.
+MOST_STRANGERS, SHOWN_STRANGERS = 64, 5
 
 CanDevice = CanAxis | CanSignals
 #: Makes the bus at an endpoint, with what is to be called for every frame and for every note.
@@ -37,11 +40,17 @@ class CanDriver(Driver):
         self._bus = self._make_bus(self.endpoint, self._received, lambda text: self.reports.note(first, text))
         self._sync = Sync(self.clock, self._bus.post, EVERY)
         self._members: list[CanDevice] = []
+        #: Frames that no device listens for, one of each id.
+        self._strangers: dict[int, Frame] = {}
         self._listeners: dict[int, list[CanDevice]] = {}
 
     def _device(self, binding: DeviceBinding) -> CanDevice:
         given = binding, self.manifests[binding.type], self.clock, self.reports, self._bus
-        device = CanAxis(*given, self._sync) if binding.type == "CanAxis" else CanSignals(*given)
+        device = (
+            CanAxis(*given, self._sync)
+            if binding.type == "CanAxis"
+            else CanSignals(*given, self._unknown_ids)
+        )
         self._members.append(device)
         return device
 
@@ -78,5 +87,15 @@ class CanDriver(Driver):
             device.quiet(False)
 
     def _received(self, frame: Frame) -> None:
-        for device in self._listeners.get(frame.key, ()):
+        devices = self._listeners.get(frame.key)
+        if devices is None and frame.extended:
+            devices = self._listeners.get(group_of(frame.id))
+        if devices is None and len(self._strangers) < MOST_STRANGERS:
+            self._strangers[frame.key] = frame
+        for device in devices or ():
             device.on_frame(frame)
+
+    def _unknown_ids(self) -> str:
+        """The ids on the bus that are no device's here, in words; '' for none."""
+        ids = [f"0x{frame.id:X}{' (29 bits)' * frame.extended}" for frame in self._strangers.values()]
+        return ", ".join(ids[:SHOWN_STRANGERS]) + (", ..." if len(ids) > SHOWN_STRANGERS else "")

@@ -4,17 +4,21 @@ from __future__ import annotations
 
 import asyncio
 import math
+from collections.abc import Callable
 
 from lfield.driver import Clock, Device, DeviceBinding, DeviceError, Manifest, Reports
 from lfield_can.bus.bus import Bus
 from lfield_can.bus.frames import Frame
 from lfield_can.dbc import DbcError, DbcFile, Term
+from lfield_can.files import tell_warnings
 from lfield_can.timing import News
 
 #: Seconds between two looks at a device that says nothing.
 LOOK = 0.1
 #: Seconds until the messages of the safe state are sent again, and until the attempt is given up.
 SAFE_AGAIN, SAFE_BY = 0.1, 3.0
+#: Kinds of wrong frames of one message that are told.
+PROBLEMS = 5
 NO_CONFIRMATION = "no_confirmation"
 
 
@@ -22,9 +26,16 @@ class CanSignals(Device):
     """One device of a DBC file."""
 
     def __init__(
-        self, binding: DeviceBinding, manifest: Manifest, clock: Clock, reports: Reports, bus: Bus
+        self,
+        binding: DeviceBinding,
+        manifest: Manifest,
+        clock: Clock,
+        reports: Reports,
+        bus: Bus,
+        unknown_ids: Callable[[], str],
     ) -> None:
         super().__init__(binding, manifest, clock, reports)
+        self._unknown_ids = unknown_ids
         self._bus, self._news = bus, News(clock)
         self._commands: list[str] = binding.option("commands")
         self._safe: list[Term] = []
@@ -33,6 +44,11 @@ class CanSignals(Device):
         self._sent: dict[str, dict[str, float]] = {}
         self._received: dict[str, tuple[float, dict[str, float]]] = {}
         self._malformed = 0
+        #: What was wrong with frames, by message, the last kind first. Each kind is told once.
+        self._problems: dict[str, list[str]] = {}
+        #: Of messages of J1939 that anybody may send: who sends ours and when, and who else was told of.
+        self._sources: dict[str, tuple[int, float]] = {}
+        self._other_sources: set[tuple[str, int]] = set()
         self._lost = self._opened = False
 
     # -- the file and the frames ------------------------------------------------------------------------
@@ -47,6 +63,7 @@ class CanSignals(Device):
             self._check_safe()
         except DbcError as error:
             raise self.error(str(error)) from None
+        tell_warnings(self._file.warnings, option("dbc"), self.note)
 
     def _check_safe(self) -> None:
         """The safe state must be a whole message for each command, and be seen."""
@@ -75,18 +92,50 @@ class CanSignals(Device):
         return frozenset(self._file.key(name) for name in self._commands)
 
     def on_frame(self, frame: Frame) -> None:
-        """A message of the device; one that the file cannot explain is counted and dropped."""
+        """A message of the device; what is not as the file says is counted and told, and the rest used."""
         decoded = self._file.decode(frame)
         if decoded is None:
             self._malformed += 1
             return
         name, values = decoded
+        if self._is_foreign(name, frame):
+            return
+        if problem := self._file.problem(frame):
+            self._malformed += 1
+            self._tell_problem(name, problem)
         # Of a multiplexed message only a part has come; the rest is still what it was, but grows old.
         self._received[name] = (self.clock.monotonic(), values)
         for signal in values:
             self._received[f"{name}.{signal}"] = self._received[name]
         self.heard()
         self._news.tell()
+
+    def _is_foreign(self, name: str, frame: Frame) -> bool:
+        """Whether a message of J1939 that anybody may send comes from another than the one that is heard."""
+        if not self._file.message(name).is_j1939:
+            return False
+        source, now = frame.id & 0xFF, self.clock.monotonic()
+        first, at = self._sources.get(name, (source, now))
+        if source == first or now - at > self._patience:
+            self._sources[name] = source, now
+            return False
+        if (name, source) not in self._other_sources:
+            self._other_sources.add((name, source))
+            self.note(
+                f"{name} comes from two addresses, 0x{first:02X} and 0x{source:02X}; the values are those "
+                f"of 0x{first:02X}: name the address in the DBC file"
+            )
+        return True
+
+    def _tell_problem(self, name: str, problem: str) -> None:
+        """Every kind of wrong frame is told once."""
+        told = self._problems.setdefault(name, [])
+        if problem in told:
+            told.remove(problem)
+        elif len(told) < PROBLEMS:
+            self.note(f"{name}: {problem}")
+        told.insert(0, problem)
+        del told[PROBLEMS:]
 
     async def watch(self) -> None:
         """Tell when the device is lost and found."""
@@ -122,9 +171,11 @@ class CanSignals(Device):
         patience: float = self.binding.option("connect")
         if not await self._news.seen(lambda: bool(self._received), patience):
             if not self.binding.waives(NO_CONFIRMATION):
+                others = self._unknown_ids()
+                came = f" (other ids were: {others}; are those of the file right?)" if others else ""
                 raise self.error(
                     f"none of the messages of its DBC file was heard at {self.binding.endpoint} within "
-                    f"{patience:g} s; check its power, the wires, the bit rate and the file",
+                    f"{patience:g} s{came}; check its power, the wires, the bit rate and the file",
                     timeout=True,
                 )
             self.note("nothing was heard of it (waived by its binding)")
@@ -175,7 +226,9 @@ class CanSignals(Device):
         for term in self._confirm:
             _, values = self._received.get(f"{term.message}.{term.signal}", (0.0, {}))
             if not self._fits(term, since):
-                wrong.append(f"{term.message}.{term.signal} is {values.get(term.signal, 'not heard')}")
+                lacks = self._lacks(term.message, term.signal)
+                unheard = f"absent ({self._problems[term.message][0]})" if lacks else "not heard"
+                wrong.append(f"{term.message}.{term.signal} is {values.get(term.signal, unheard)}")
         return wrong
 
     def _moving(self) -> str:
@@ -216,8 +269,15 @@ class CanSignals(Device):
             return self._received.get(f"{message}.{name}", (-math.inf,))[0] >= oldest
 
         if not await self._news.seen(fresh, self._patience):
-            raise self.error(f"{signal} was not received for over {self._patience:g} s", timeout=True)
+            why = f": {self._problems[message][0]}" if self._lacks(message, name) else ""
+            raise self.error(f"{signal} was not received for over {self._patience:g} s{why}", timeout=True)
         return self._received[f"{message}.{name}"][1][name]
+
+    def _lacks(self, message: str, signal: str) -> bool:
+        """Whether the message comes, and without the signal."""
+        at, values = self._received.get(message, (-math.inf, {}))
+        young = at >= self.clock.monotonic() - self._patience
+        return young and message in self._problems and signal not in values
 
     async def do_age_of(self, message: str) -> float:
         """Seconds since a message was received."""

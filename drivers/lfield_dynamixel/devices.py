@@ -12,10 +12,12 @@ from collections.abc import Collection, Mapping
 from lfield_dynamixel.bus.bus import COMMAND
 from lfield_dynamixel.bus.chain import NoAnswer, Refusal
 from lfield_dynamixel.members import LOOK, STILL, Members, Seen
-from lfield_dynamixel.servo import FIRED, POSITION_MODES, Servo
+from lfield_dynamixel.servo import FIRED, POSITION_MODES, ROUNDED, Servo
 
 #: Seconds without coming closer after which a travel has failed, and what counts as closer, in rad.
 STUCK, CLOSER = 1.5, 0.01
+#: An angle that has been rounded may be beyond its bound by so much, in rad.
+ROUNDING = 1e-9
 #: It pushes as hard as it was told when it takes this share of the current, and does so for so long (s).
 PUSHES, LASTING = 0.85, 0.1
 
@@ -73,6 +75,7 @@ class Movers(Members):
             part = ways[number] / longest if longest > 0.0 else 1.0
             servo = self.servos[number]
             servo.pushing = False
+            servo.check_profile(ways[number], speed * part, self.profile[1] * part)
             writes[servo] = servo.motion(angle, ways[number], speed * part, self.profile[1] * part)
         return writes
 
@@ -122,7 +125,7 @@ class Movers(Members):
         low, high = self.binding.option("lowest"), self.binding.option("highest")
         for number, angle in angles.items():
             servo = self.servos[number]
-            if not low <= angle <= high:  # so that NaN is refused too
+            if not low - ROUNDING <= angle <= high + ROUNDING:  # so that NaN is refused too
                 raise self.error(f"{what} refused: {angle:g} rad is outside {low:g} to {high:g} rad")
             least, greatest = servo.reach
             if servo.mode == "position" and not least - 1e-3 <= angle <= greatest + 1e-3:
@@ -139,12 +142,19 @@ class Movers(Members):
                 raise self.error(
                     f"{what} needs the mode {' or '.join(modes)}; servo {number} is in {servo.mode} mode"
                 )
+            if servo.is_slave:
+                raise self.error(
+                    f"{what} refused: servo {number} is a slave (bit 1 of its drive mode) and only follows "
+                    "the cable of its master; bind the master"
+                )
             self._check_sound(servo)
             if not self.conditions[number].torque:
                 raise self.error(f"{what}: the torque of servo {number} is off; call torque(true) first")
 
     def _check_sound(self, servo: Servo) -> None:
         number = servo.node.number
+        if number in self.conflicts:
+            raise self.error(self.conflicts[number])
         now = self.conditions.get(number)
         if now is None:
             raise NoAnswer(number)
@@ -170,7 +180,7 @@ class Movers(Members):
 
     def _check_speed(self, what: str, speed: float) -> None:
         limit = self.binding.limits.get("speed", math.inf)
-        if not abs(speed) <= limit:  # so that NaN is refused too
+        if not abs(speed) <= limit * ROUNDED:  # so that NaN is refused too
             raise self.error(f"{what} of {speed:g} rad/s is above the limit of {limit:g} rad/s")
 
 
@@ -254,17 +264,23 @@ class Dynamixel(Movers):
     async def do_set_velocity(self, velocity: float) -> None:
         """A velocity setpoint."""
         self._check_speed("setVelocity", velocity)
-        await self._set_goal("setVelocity", "velocity", velocity / self.servo.model.velocity)
+        limit = self.binding.limits.get("speed", math.inf)
+        await self._set_goal("setVelocity", "velocity", velocity, self.servo.model.velocity, limit)
 
     async def do_set_current(self, current: float) -> None:
         """A current setpoint."""
         self._check_current("setCurrent", current)
-        await self._set_goal("setCurrent", "current", current / self.servo.model.current)
+        limit = self.binding.limits.get("current", math.inf)
+        await self._set_goal("setCurrent", "current", current, self.servo.model.current, limit)
 
-    async def _set_goal(self, what: str, mode: str, counts: float) -> None:
+    async def _set_goal(self, what: str, mode: str, value: float, unit: float, limit: float) -> None:
+        """A goal in the nearest count that is within the limit."""
         self.check_ready(what, [mode])
+        counts = round(value / unit)
+        if abs(counts) * unit > limit * ROUNDED:
+            counts -= 1 if counts > 0 else -1
         item = self.servo.item(f"goal_{mode}")
-        await self._command(what, item.address, item.encode(round(counts)))
+        await self._command(what, item.address, item.encode(counts))
 
     async def _command(self, what: str, address: int, data: bytes) -> None:
         """Write a goal. A refusal has a reason that the condition tells better than the error byte."""
@@ -287,7 +303,7 @@ class Dynamixel(Movers):
             await servo.put_eeprom(homing_offset=offset)
             raise self.error(
                 f"calibrate({angle:g}): it would say {seen:.3f} rad, so its old homing offset is back; in "
-                "position mode an offset of a quarter turn is the most, and a reversed servo counts backwards"
+                "position mode an offset of a quarter turn is the most"
             )
 
     async def do_set_range(self, lowest: float, highest: float) -> None:
@@ -295,13 +311,15 @@ class Dynamixel(Movers):
         if not -math.inf < lowest < highest < math.inf:
             raise self.error(f"setRange needs a lower and a higher angle, not {lowest:g} and {highest:g}")
         low, high = (self.servo.model.to_counts(angle) for angle in (lowest, highest))
+        if high == 2 * self.servo.model.centre and self.servo.model.protocol == 2:
+            high -= 1  # a half turn is the place of minus a half turn; the last count of the turn is meant
         if low < 0:
             raise self.error(f"setRange: {lowest:g} rad is below {self.servo.model.to_angle(0):.3f} rad")
         await self.servo.put_eeprom(min_position_limit=low, max_position_limit=high)
 
     def _check_current(self, what: str, current: float) -> None:
         limit = self.binding.limits.get("current", math.inf)
-        if not abs(current) <= limit or math.isinf(current):  # so that NaN is refused too
+        if not abs(current) <= limit * ROUNDED or math.isinf(current):  # so that NaN is refused too
             raise self.error(f"{what} of {current:g} A is above the limit of {limit:g} A")
         if not self.servo.model.current:
             raise self.error(f"{what}: a {self.servo.model.name} measures no current")

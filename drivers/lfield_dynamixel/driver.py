@@ -43,7 +43,10 @@ class DynamixelDriver(Driver):
 
     def _set_up(self) -> None:
         self._bus = Bus(
-            lambda events: self._make_port(self.endpoint, events, self._note), self._lost, self._back
+            lambda events: self._make_port(self.endpoint, events, self._note),
+            self._lost,
+            self._back,
+            lambda: self._note("the adapter returns what is sent (echo); it is taken out"),
         )
         self._chain = Chain(self._bus)
         # Cleared while the owner is silent: a servo that is polled never sees that it is alone.

@@ -49,6 +49,8 @@ class Members(Device):
         self._probe_at: dict[int, float] = {}
         self._watchdog: float | None = None
         self._polls = 0
+        #: Members whose id two servos have, with what is told of it.
+        self.conflicts: dict[int, str] = {}
         self.opened = False
 
     def tell(self, seen: Seen) -> None:
@@ -183,13 +185,25 @@ class Members(Device):
             if self._probe_at.get(number, 0.0) > self.clock.monotonic():
                 continue
             if number in self._probe_at:
-                if await self.chain.ping(servo.node, urgency=urgency) is None:
+                alone = await self.chain.ping(servo.node, urgency=urgency) is not None
+                if not alone or await self._is_doubled(servo, urgency):
                     self._miss(servo)
                     continue
                 del self._probe_at[number]
                 self.note(f"servo {number} answers again: {await self._how_it_is(servo)}")
             found.append(servo)
         return found
+
+    async def _is_doubled(self, servo: Servo, urgency: int) -> bool:
+        """Whether another servo with its id has joined; that is told once."""
+        number = servo.node.number
+        conflict = await self.chain.roll_call(servo.node, *servo.model.present, urgency=urgency)
+        if conflict and number not in self.conflicts:
+            self.note(conflict)
+        self.conflicts.pop(number, None)
+        if conflict:
+            self.conflicts[number] = conflict
+        return bool(conflict)
 
     def _miss(self, servo: Servo) -> None:
         """A member does not answer; that is told once."""

@@ -12,6 +12,8 @@ from lfield_dynamixel.bus.packets import Status
 from lfield_dynamixel.bus.words import alerted, faults
 from lfield_dynamixel.tables import Item, Model, models
 
+#: Above this a value that has been rounded is above its limit, relatively.
+ROUNDED = 1.0 + 1e-9
 #: What a servo answers, and the level at which it answers everything.
 ANSWERS, ALL = "status_return_level", 2
 #: Operating modes: the name in L and the value of the register (e-manual, address 11).
@@ -22,8 +24,10 @@ POSITION_MODES = ("position", "extended", "currentPosition")
 FIRED = 255
 WATCHDOG_LONGEST = 127
 
-#: Bit of the drive mode register: profiles are given as times, in milliseconds.
-_TIME_BASED = 1 << 2
+#: Bits of the drive mode register (e-manual, address 10): it follows the cable of another servo and ignores
+#: goals; profiles are given as times, in milliseconds. Bit 0 turns the direction of all that it measures and
+#: takes; bit 3 switches the torque on by any goal.
+_SLAVE, _TIME_BASED = 1 << 1, 1 << 2
 _LONGEST_PROFILE = 32737
 
 
@@ -84,7 +88,8 @@ class Servo:
     """One servo on a chain. `open` comes first; everything else needs its model.
 
     `mode` is its operating mode by name, `reach` the least and greatest angle (rad) that it accepts in
-    position mode, `top_speed` its own limit (rad/s). `pushing` says that it holds something by the force
+    position mode, `top_speed` its own limit (rad/s). `is_slave` says that it follows the cable of another
+    servo and ignores goals. `pushing` says that it holds something by the force
     that it was given: to stay, it must go on.
     """
 
@@ -93,7 +98,7 @@ class Servo:
     def __init__(self, chain: Chain, node: Node) -> None:
         self.chain, self.node = chain, node
         self.mode = "position"
-        self.time_based = False
+        self.time_based = self.is_slave = False
         self.reach = (-math.inf, math.inf)
         self.top_speed = math.inf
         self.pushing = False
@@ -112,6 +117,8 @@ class Servo:
         if wanted not in ("", model.name):
             raise self.error(f"is a {model.name}; its binding says that it is a {wanted}")
         self.model, self.top_speed = model, model.fastest * model.velocity
+        if conflict := await self.chain.roll_call(self.node, *model.present):
+            raise DeviceError(f"servo {self.node.number}", conflict)
         firmware = await self.get("firmware_version")
         await self.read_settings()
         return f"{model.name} {self.node.number} (firmware {firmware}, {self.mode} mode)"
@@ -135,7 +142,8 @@ class Servo:
         if self.model.has("operating_mode"):
             value = await self.get("operating_mode")
             self.mode = next((name for name, number in MODES.items() if number == value), f"mode {value}")
-            self.time_based = bool(await self.get("drive_mode") & _TIME_BASED)
+            drive_mode = await self.get("drive_mode")
+            self.time_based, self.is_slave = bool(drive_mode & _TIME_BASED), bool(drive_mode & _SLAVE)
             self.top_speed = await self.get("velocity_limit") * self.model.velocity
         low, high = await self.get("min_position_limit"), await self.get("max_position_limit")
         self.reach = self.model.to_angle(low), self.model.to_angle(high)
@@ -237,14 +245,33 @@ class Servo:
         item = self.item(name)
         await self.chain.write(self.node, item.address, item.encode(counts), urgency=urgency)
 
+    def to_counts(self, angle: float) -> int:
+        """The position of an angle in counts; in position mode within its limits, which are rounded too."""
+        if self.mode == "position":
+            angle = min(max(angle, self.reach[0]), self.reach[1])
+        return self.model.to_counts(angle)
+
+    def check_profile(self, distance: float, speed: float, acceleration: float) -> None:
+        """Raise DeviceError for a way that takes longer than a profile can: it would go faster."""
+        seconds = self._times(distance, speed, acceleration)[1] if self.time_based else 0.0
+        if seconds > _LONGEST_PROFILE / 1000.0:
+            raise self.error(
+                f"takes {seconds:.1f} s for this way at {speed:g} rad/s, and its profiles, which are times "
+                f"(drive mode), last {_LONGEST_PROFILE / 1000.0:g} s at most: go in several steps"
+            )
+
+    def _times(self, distance: float, speed: float, acceleration: float) -> tuple[float, float]:
+        """Seconds of a time-based profile: until its speed is reached, and in all."""
+        ramp = speed / acceleration if acceleration else 0.0
+        return ramp, (distance / speed if speed else 0.0) + ramp
+
     def motion(self, angle: float, distance: float, speed: float, acceleration: float) -> tuple[int, bytes]:
         """A goal with its profile, as one write: address and bytes. rad, rad, rad/s, rad/s2 (0: at once)."""
         model = self.model
-        values = {"goal_position": model.to_counts(angle)}
+        values = {"goal_position": self.to_counts(angle)}
         if self.time_based:
-            ramp = speed / acceleration if acceleration else 0.0
-            seconds = (distance / speed if speed else 0.0) + ramp
-            span = values["profile_velocity"] = _counts(seconds, 0.001, _LONGEST_PROFILE)
+            ramp, seconds = self._times(distance, speed, acceleration)
+            span = values["profile_velocity"] = max(round(min(seconds * 1000.0, _LONGEST_PROFILE)), 1)
             values["profile_acceleration"] = round(min(ramp * 1000.0, span // 2))
         else:
             values["profile_velocity"] = _counts(speed, model.velocity, model.fastest)
@@ -267,10 +294,14 @@ class Servo:
         return counts * self.model.watchdog
 
     async def clear_watchdog(self) -> None:
-        """Take it out of the stop that its watchdog made: its goals are writable again, and it stays."""
-        seen = await self.present()
+        """Take it out of the stop that its watchdog made: its goals are writable again, and it stays.
+
+        One that is limp gets no goal: by its drive mode that may switch the torque on.
+        """
+        seen, torque = await self.present(), (await self.condition()).torque
         await self.chain.write(self.node, self.item("bus_watchdog").address, b"\0")
-        await self.write_here(seen)
+        if torque:
+            await self.write_here(seen)
 
     @property
     def cure(self) -> str:
@@ -285,5 +316,5 @@ class Servo:
 
 
 def _counts(value: float, unit: float, greatest: int) -> int:
-    """A value in counts, never 0: in a profile that would mean without limit."""
-    return max(round(min(value / unit, greatest)), 1)
+    """A value in counts, not above it, and never 0: in a profile that would mean without limit."""
+    return max(math.floor(min(value / unit, greatest) * ROUNDED), 1)

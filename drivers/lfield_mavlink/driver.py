@@ -3,37 +3,53 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable
 from functools import partial
 from typing import Any
 
 from lfield.driver import DeviceBinding, DeviceError, Driver
 from lfield_mavlink.link.dialect import AUTOPILOT, Header, Reader, Writer, dialect
-from lfield_mavlink.link.links import AGAIN, Link, make_link, split_endpoint
-from lfield_mavlink.link.ports import COMMANDS, LinkCounts, Neighbours, Port, Route
+from lfield_mavlink.link.links import AGAIN, Link, LinkEvents, OnData, make_link, split_endpoint
+from lfield_mavlink.link.ports import (
+    COMMANDS,
+    LinkCounts,
+    Neighbours,
+    Port,
+    Route,
+    foreign_words,
+    is_foreign,
+)
 from lfield_mavlink.link.signing import open_signing, sign_link
+from lfield_mavlink.link.sources import Source, Sources
 from lfield_mavlink.link.station import beat, check_stations, is_echo, station_of, why_not_alone
 from lfield_mavlink.vehicle import MavlinkVehicle
 
 #: Seconds between our own heartbeats: several within the shortest failsafe (2 s), since some are lost.
 HEARTBEAT = 0.25
+#: Senders of heartbeats that are no autopilot's that are named.
+MOST_REPORTED = 16
 
 
 class MavlinkDriver(Driver):
     """The vehicles on some links that lead to the same place, such as a radio and a cable."""
 
     def _device(self, binding: DeviceBinding) -> MavlinkVehicle:
-        send = partial(self._send_to, binding.option("system"), station_of(binding))
-        manifest = self.manifests[binding.type]
-        others = partial(self._commander, binding.option("system"))
-        return MavlinkVehicle(
-            binding, manifest, self.clock, self.reports, send, self._counts, self._why_silent, others
-        )
+        system: int = binding.option("system")
+        # Of two devices with one system id, none is opened.
+        sources = self._sources[system] = Sources(system, split_endpoint(self.endpoint))
+        send = partial(self._send_to, system, station_of(binding))
+        given = binding, self.manifests[binding.type], self.clock, self.reports
+        others = partial(self._commander, system)
+        return MavlinkVehicle(*given, send, self._counts, self._why_silent, sources, others)
+
+    def _set_up(self) -> None:
+        self._sources: dict[int, Sources] = {}
 
     async def _open(self) -> None:
         self._quieted = False
         self._ports: list[Port] = []
         self._neighbours = Neighbours()
+        self._addresses: dict[int, str] = {}
+        self._reported: set[tuple[int, Source]] = set()
         self._received_bytes = 0
         self._vehicles: dict[int, MavlinkVehicle] = {}
         for device in self.devices.values():
@@ -75,8 +91,23 @@ class MavlinkDriver(Driver):
 
     # -- links ----------------------------------------------------------------------------------------
 
-    def _make_link(self, endpoint: str, on_data: Callable[[bytes], None]) -> Link:
-        return make_link(endpoint, on_data)
+    def _make_link(self, endpoint: str, on_data: OnData) -> Link:
+        number = split_endpoint(self.endpoint).index(endpoint)
+        return make_link(
+            endpoint, on_data, LinkEvents(self._note, self._reopened, partial(self._from, number))
+        )
+
+    def _from(self, link: int, address: str) -> None:
+        """What comes over a link next is from this address."""
+        self._addresses[link] = address
+
+    def _note(self, text: str) -> None:
+        for vehicle in self._vehicles.values():
+            vehicle.note(text)
+
+    def _reopened(self) -> None:
+        for vehicle in self._vehicles.values():
+            vehicle.reconnected()
 
     def _make_port(self, number: int, endpoint: str) -> Port:
         signing = sign_link(self._signing, self.bindings, number, endpoint)
@@ -95,8 +126,7 @@ class MavlinkDriver(Driver):
             raise problems[0]
         for port, error in zip(self._ports, opened, strict=True):
             if isinstance(error, DeviceError):
-                for vehicle in self._vehicles.values():
-                    vehicle.note(f"{error.reason}; it goes on with the other links")
+                self._note(f"{error.reason}; it goes on with the other links")
                 self.spawn(self._open_later(port.link))
 
     async def _open_later(self, link: Link) -> None:
@@ -125,7 +155,8 @@ class MavlinkDriver(Driver):
 
     def _received(self, link: int, reader: Reader, data: bytes) -> None:
         self._received_bytes += len(data)
-        for message in reader.feed(data, self._is_spare):
+        source = Source(link, self._addresses.get(link, ""))
+        for message in reader.feed(data, partial(self._is_spare, source)):
             system = message.get_srcSystem()
             vehicle = self._vehicles.get(system)
             if message.get_msgId() in COMMANDS:
@@ -134,9 +165,32 @@ class MavlinkDriver(Driver):
             # Cameras and gimbals have heartbeats too; only the autopilot's says how the vehicle is.
             if vehicle is None or message.get_srcComponent() != AUTOPILOT:
                 self._on_neighbour(message)
-                continue
-            if self._routes[system].heard(link, message.get_msgbuf(), self.clock.monotonic()):
-                vehicle.on_message(message)
+            elif is_foreign(message):
+                self._neighbours.heard(message)
+                self._ignore(vehicle, source, message)
+            else:
+                self._on_vehicle(vehicle, source, message)
+
+    def _on_vehicle(self, vehicle: MavlinkVehicle, source: Source, message: Any) -> None:
+        """A message with the ids of a vehicle's autopilot."""
+        system, now = vehicle.system, self.clock.monotonic()
+        if not self._sources[system].on_packet(source, message, now):
+            vehicle.on_other_source()
+        elif self._routes[system].heard(source.link, message.get_msgbuf(), now):
+            vehicle.on_message(message)
+
+    def _ignore(self, vehicle: MavlinkVehicle, source: Source, message: Any) -> None:
+        """A heartbeat of what is no autopilot, under the ids of one: reported once for each source."""
+        if (vehicle.system, source) in self._reported or len(self._reported) >= MOST_REPORTED:
+            return
+        self._reported.add((vehicle.system, source))
+        endpoint = split_endpoint(self.endpoint)[source.link]
+        place = f"{endpoint} from {source.address}" if source.address else endpoint
+        vehicle.note(
+            f"heartbeats of {foreign_words(message)} with the ids of this vehicle's autopilot "
+            f"(system {vehicle.system}, component {AUTOPILOT}) come over {place}: ignored; "
+            "give their sender ids of its own"
+        )
 
     def _on_neighbour(self, message: Any) -> None:
         """Somebody else is heard: nobody may have the id of a station of ours."""
@@ -148,7 +202,7 @@ class MavlinkDriver(Driver):
             vehicle.not_alone = why_not_alone(message)
             vehicle.note(vehicle.not_alone)
 
-    def _is_spare(self, header: Header) -> bool:
+    def _is_spare(self, source: Source, header: Header) -> bool:
         """Whether a packet need not be decoded: of nobody here, or telemetry that comes faster than wanted.
 
         It does when a ground station on the same link asks for more; to decode it is most of the work then.
@@ -156,11 +210,17 @@ class MavlinkDriver(Driver):
         vehicle = self._vehicles.get(header.system)
         if vehicle is None or header.component != AUTOPILOT:
             return header.kind != int(dialect.MAVLINK_MSG_ID_HEARTBEAT) and header.kind not in COMMANDS
-        return len(self._ports) == 1 and vehicle.is_spare(header.kind, header.sequence)
+        sources = self._sources[header.system]
+        if len(self._ports) > 1 or not sources.accepts(source):
+            return False
+        spare = vehicle.is_spare(header.kind, header.sequence)
+        if spare:
+            sources.touch(source, self.clock.monotonic())
+        return spare
 
     def _send_to(self, system: int, station: int, message: Any) -> None:
         for number in self._routes[system].links(self.clock.monotonic()):
-            self._ports[number].send(message, station)
+            self._ports[number].send(message, station, self._sources[system].address(number))
 
     async def _beat(self) -> None:
         """Be heard as the ground station of each vehicle on every link, as their failsafes expect."""
@@ -169,4 +229,19 @@ class MavlinkDriver(Driver):
             for vehicle, message in () if self._quieted else beats:
                 for port in self._ports if vehicle.may_beat else ():
                     port.send(message, vehicle.station)
+            if not self._quieted:
+                self._ask_for_boards()
             await asyncio.sleep(HEARTBEAT)
+
+    def _ask_for_boards(self) -> None:
+        """Have what is heard over another link tell its unique id: it may be another vehicle."""
+        now = self.clock.monotonic()
+        for system, sources in self._sources.items():
+            for source in sources.due(now):
+                version = float(dialect.MAVLINK_MSG_ID_AUTOPILOT_VERSION)
+                number = dialect.MAV_CMD_REQUEST_MESSAGE
+                ask = dialect.MAVLink_command_long_message(
+                    system, AUTOPILOT, number, 0, version, 0, 0, 0, 0, 0, 0
+                )
+                station = self._vehicles[system].station
+                self._ports[source.link].send(ask, station, source.address)

@@ -124,14 +124,32 @@ class Limits:
         """Whether there is anywhere that the vehicle may not go."""
         return min(self._altitude, self._radius) < math.inf
 
-    def check_goal(self, what: str, goal: Vector) -> None:
-        """Refuse a goal that is no place, or beyond the limits. Raises DeviceError."""
+    @property
+    def bounds_anything(self) -> bool:
+        """Whether the binding has any limit."""
+        return min(self._altitude, self._radius, self._speed) < math.inf
+
+    @property
+    def bounds_radius(self) -> bool:
+        """Whether there is a distance from home that it may not exceed."""
+        return self._radius < math.inf
+
+    @property
+    def bounds_speed(self) -> bool:
+        """Whether there is a speed over ground that it may not exceed."""
+        return self._speed < math.inf
+
+    def check_goal(self, what: str, goal: Vector, extent: float = 0.0) -> None:
+        """Refuse a goal that is no place, or beyond the limits. Raises DeviceError.
+
+        `extent` is how many metres around the goal are flown, as by a circle.
+        """
         north, east, down = goal
         if not all(map(math.isfinite, goal)):
             raise self._error(f"{what} needs finite numbers")
         if -down > self._altitude:
             raise self._error(f"{what} refused: {-down:g} m is above the limit of {self._altitude:g} m")
-        far = math.hypot(north, east)
+        far = math.hypot(north, east) + extent
         if far > self._radius:
             raise self._error(
                 f"{what} refused: {far:.1f} m from home is beyond the limit of {self._radius:g} m"

@@ -8,12 +8,16 @@ from typing import Any
 
 from lfield.driver import Clock, DeviceBinding, DeviceError, Frame, Manifest, Reports, Setting
 from lfield_mavlink.contact.contact import LINK_LOST, Contact
+from lfield_mavlink.contact.exchange import is_for_us
+from lfield_mavlink.contact.identity import Identity
 from lfield_mavlink.contact.link_health import LinkHealth
 from lfield_mavlink.contact.streams import Streams
 from lfield_mavlink.frames import frame_of
 from lfield_mavlink.limit_keeper import LimitKeeper
 from lfield_mavlink.limits import Limits
+from lfield_mavlink.link.dialect import dialect
 from lfield_mavlink.link.ports import LinkCounts
+from lfield_mavlink.link.sources import Sources
 from lfield_mavlink.modes import AUTONOMOUS
 from lfield_mavlink.nature import Nature
 from lfield_mavlink.parts.fences import Fences, Rally
@@ -32,12 +36,16 @@ from lfield_mavlink.services.plan_transfer import PlanTransfer
 from lfield_mavlink.services.version import Version
 from lfield_mavlink.watchdog import Watchdog
 
+#: Seconds within which it is known whether two vehicles have one system id.
+SETTLES = 6.0
+
 
 class MavlinkVehicle(Contact):
     """A vehicle with an autopilot that speaks MAVLink 2.
 
     `send` sends it a message, `counts` tells what the readers of its links have counted, `why_silent` why it
-    may not be heard, and `others` which other stations command it there, as far as that is heard.
+    may not be heard, `sources` knows the addresses that it is heard from, and `others` which other stations
+    command it, as far as that is heard.
     """
 
     def __init__(
@@ -49,12 +57,15 @@ class MavlinkVehicle(Contact):
         send: Callable[[Any], None],
         counts: Callable[[], LinkCounts] = LinkCounts,
         why_silent: Callable[[], str] = lambda: "",
+        sources: Sources | None = None,
         others: Callable[[], str] = lambda: "",
     ) -> None:
         super().__init__(binding, manifest, clock, reports, send)
-        self._why_silent = why_silent
+        self._why_silent, self._sources = why_silent, sources
+        self._moves = 0
         self._streams, self._health = Streams(self), LinkHealth(self, counts)
         self._version = Version(self)
+        self._identity = Identity(self, self._version.renew, lambda: (self.state.autopilot, self.state.type))
         self.parameters = Parameters(self, self._version.encoding)
         self.files = FileTransfer(self)
         self.plans = PlanTransfer(self, lambda: not self.profile.px4)
@@ -72,7 +83,7 @@ class MavlinkVehicle(Contact):
             self._flight,
             readiness,
             self._guidance,
-            Missions(self, self.motion, limits, self.plans),
+            Missions(self, self.motion, limits, self.plans, self.parameters),
             Fences(self, self.plans, self.parameters),
             Rally(self, self.plans),
             Payload(self),
@@ -86,9 +97,77 @@ class MavlinkVehicle(Contact):
     def on_message(self, message: Any) -> None:
         """A message of this vehicle's autopilot."""
         now = self.clock.monotonic()
+        self._note_sources()
+        if self._identity.stranger:
+            # Another vehicle's state is not this one's; only what tells who it is counts.
+            self._on_stranger(message)
+            return
         self._health.count(message.get_seq(), now)
         self._streams.heard(message.get_msgId(), now)
         super().on_message(message)
+        if self._identity.is_another_kind:
+            self._reconnected("a heartbeat of another type")
+
+    def _on_stranger(self, message: Any) -> None:
+        if message.get_msgId() == dialect.MAVLINK_MSG_ID_HEARTBEAT:
+            self.state.autopilot, self.state.type = message.autopilot, message.type
+        elif is_for_us(message, self.station) and message.get_msgId() in (
+            dialect.MAVLINK_MSG_ID_AUTOPILOT_VERSION,
+            dialect.MAVLINK_MSG_ID_COMMAND_ACK,
+        ):
+            self._hand_over(message)
+        self._news.set()
+
+    # -- who it is ------------------------------------------------------------------------------------
+
+    def _note_sources(self) -> None:
+        """What is new about the addresses that it is heard from."""
+        if self._sources is None:
+            return
+        while self._sources.events:
+            self.note(self._sources.events.pop(0))
+        if self._sources.moves != self._moves:
+            self._moves = self._sources.moves
+            self._reconnected("a change of its address")
+
+    def on_other_source(self) -> None:
+        """A packet with its ids came from an address that is not known as its own."""
+        self._note_sources()
+        self._news.set()
+
+    def reconnected(self) -> None:
+        """A link that it is reached on was opened anew."""
+        self._reconnected("a link was opened anew")
+
+    def _reconnected(self, reason: str) -> None:
+        self._identity.suspect(reason)
+
+    def _may_send(self, message: Any) -> bool:
+        return self._identity.may_send(message)
+
+    async def _gate(self, number: int) -> None:
+        await self._identity.gate(number)
+
+    def check_link(self) -> None:
+        """Raise DeviceError when the vehicle is not heard any more, or another one is."""
+        if self._identity.stranger:
+            raise self.error(self._identity.stranger)
+        super().check_link()
+
+    @property
+    def conflict(self) -> str:
+        """Which other vehicle has its system id, '' when none has."""
+        return "" if self._sources is None else self._sources.conflict(self.clock.monotonic())
+
+    async def check_alone(self) -> None:
+        """Listen until it is known that one vehicle has this system id. Raises DeviceError for two."""
+        sources, now = self._sources, self.clock.monotonic
+        if sources is not None and not await self.seen(lambda: sources.is_settled(now()), SETTLES):
+            raise self.error("whether another vehicle has its system id is not known yet; try again")
+        if conflict := self.conflict:
+            raise self.error(f"arm refused: {conflict}; give each vehicle a system id of its own")
+
+    # -- its telemetry --------------------------------------------------------------------------------
 
     def is_spare(self, kind: int, sequence: int) -> bool:
         """Whether a message need not be read; it counts all the same."""
@@ -110,6 +189,7 @@ class MavlinkVehicle(Contact):
                 timeout=True,
             )
         self.check_identity()
+        await self._identity.learn()
         await self._streams.prepare()
         if self.profile.px4 and (reason := self.binding.reasons.get(AUTONOMOUS)):
             self.note(f"its own motions go on when this computer dies, as its binding waives: {reason}")
@@ -128,6 +208,7 @@ class MavlinkVehicle(Contact):
         """What runs beside the calls while the vehicle is open."""
         return (
             self._watch(),
+            self._identity.keep(),
             self._streams.keep(),
             self._health.keep(),
             self._keeper.keep(),
@@ -151,6 +232,8 @@ class MavlinkVehicle(Contact):
                 ready = await self._renewed()
 
     async def _renewed(self) -> bool:
+        if not self._identity.is_certain:
+            return False
         try:
             self.check_identity()
             await self._renew()
@@ -177,6 +260,8 @@ class MavlinkVehicle(Contact):
         return "its motors are on" if self.state.armed else ""
 
     async def _make_safe(self, state: str) -> None:
+        if self._identity.stranger or self.silence <= LINK_LOST:
+            await self._identity.verify()
         await self._flight.make_safe(state)
         self.take_charge()
 

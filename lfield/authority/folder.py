@@ -31,8 +31,8 @@ from lfield.authority.keys import (
     certificate_name,
     key_name,
 )
-from lfield.errors import KeysError, NoHome
-from lfield.text.own_folders import own_folder
+from lfield.errors import KeysError, NoHome, OutputFileError
+from lfield.text.own_folders import lfield_in, own_folder
 from lfield.text.private import read_private, write_private
 
 #: The folder of a person's keys, as that of a host has the host's name.
@@ -42,13 +42,13 @@ SYSTEM, VARIABLE = Path("/etc/lfield/keys"), "LFIELD_KEYS"
 
 
 def own_keys(environment: Mapping[str, str]) -> Path:
-    """The folder of this user's keys. Raises NoHome."""
+    """The folder of this user's keys. Raises NoHome, OutputFileError."""
     return own_settings(environment) / "keys"
 
 
 def own_settings(environment: Mapping[str, str]) -> Path:
-    """The folder of this user's settings of lfield. Raises NoHome."""
-    return own_folder("XDG_CONFIG_HOME", ".config", environment) / "lfield"
+    """The folder of this user's settings of lfield. Raises NoHome, OutputFileError."""
+    return lfield_in(own_folder("XDG_CONFIG_HOME", ".config", environment))
 
 
 def find(
@@ -88,8 +88,8 @@ def folders_here(environment: Mapping[str, str], system: Path = SYSTEM) -> list[
 
 
 def _usual(environment: Mapping[str, str], system: Path) -> list[Path]:
-    """Where keys are that nobody names: who has no home has none of their own."""
-    with suppress(NoHome):
+    """The folders of keys where none is named. A user without a folder of their own has the system's only."""
+    with suppress(NoHome, OutputFileError):
         return [system, own_keys(environment)]
     return [system]
 

@@ -31,7 +31,7 @@ from lfield.text.private import private_locked, write_private
 
 KEY, ISSUED = "authority.key", "issued"
 _FOLDERS: dict[Holder, str] = {"host": "hosts", "person": "people"}
-_NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9._-]*|\[[0-9A-Fa-f:.]+\]", re.ASCII)
+_NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9._-]*|\[[0-9A-Fa-f:.]+(%[A-Za-z0-9._-]+)?\]", re.ASCII)
 _SERIAL = re.compile(r"[1-9a-f][0-9a-f]{3,39}", re.ASCII)
 #: One of so many digits is whole: numbers are drawn from 159 bits.
 _WHOLE = 37

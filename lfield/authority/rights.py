@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from lfield.authority.identity import Right, in_order
 from lfield.wire.messages import Ping, Revocations
-from lfield.wire.observing import EmergencyStop, Forget, Pause, Recover, StatusRequest
+from lfield.wire.observing import EmergencyStop, Forget, Pause, Recover, StartRequest, StatusRequest
 from lfield.wire.watching import Seen, Watch
 
 if TYPE_CHECKING:
@@ -31,6 +31,7 @@ RIGHTS: Mapping[type[Message], tuple[Right | None, Right | None]] = {
     Pause: (Right.STOP, Right.OPERATE),
     Forget: (Right.OPERATE, None),
     Recover: (Right.OPERATE, None),
+    StartRequest: (Right.OPERATE, None),
 }
 #: What a host may that looks at others, as when it is asked to begin anew: a stop is for everybody.
 OF_HOSTS = frozenset({Right.OBSERVE, Right.STOP})

@@ -118,12 +118,13 @@ class ClassRecord(msgspec.Struct, frozen=True, array_like=True):
 
 
 #: Kinds of handlers. CATCH takes what is of its class, FINALLY anything; it throws that again at its end.
-#: The others take nothing. LIMIT: `slot` has the end of a `within` in ns on the agent's clock, NO_LIMIT or
-#: OVER. LANDING: the code of a `finally`, where no catch is skipped for a limit around it. RESERVED: `slot`
-#: has what a `reserve` keeps, an array of members of the team and numbers in turn.
+#: The others take nothing. LIMIT: `slot` has the end of a `within` in ns on the agent's clock, NO_LIMIT
+#: before it is set, and minus its end once it has fired. LANDING: the code of a `finally`, where no catch is
+#: skipped for a limit around it. RESERVED: `slot` has what a `reserve` keeps, an array of members of the team
+#: and numbers in turn.
 CATCH, FINALLY, LIMIT, LANDING, RESERVED = range(5)
-#: What the slot of a LIMIT holds before it is set, and once it has fired.
-NO_LIMIT, OVER = 0, -1
+#: What the slot of a LIMIT holds before it is set.
+NO_LIMIT = 0
 
 
 class Handler(msgspec.Struct, frozen=True, array_like=True):

@@ -37,6 +37,7 @@ COMMANDS = {
     "query": "tell who of a team can do something, and why the others cannot",
     "capabilities": "read, check and extend the registry of capabilities",
     "estop": "bring every device of a running mission into its safe state",
+    "start": "start the coordinators that wait, without hosts that are missing",
     "pause": "let no agent of a running mission run, its devices in their safe states",
     "resume": "let a mission that was paused go on",
     "forget": "end a coordinator that is in doubt, lost or parked, by your word",
@@ -51,7 +52,19 @@ COMMANDS = {
 _ROOMS = {
     "desk": ("check", "build", "disasm", "test", "inspect", "capabilities", "keys", "sign"),
     "run": ("up",),
-    "team": ("ps", "watch", "events", "logs", "query", "estop", "pause", "resume", "forget", "recover"),
+    "team": (
+        "ps",
+        "watch",
+        "events",
+        "logs",
+        "query",
+        "estop",
+        "start",
+        "pause",
+        "resume",
+        "forget",
+        "recover",
+    ),
     "robot": ("doctor", "driver", "setup", "kit", "sim"),
 }
 #: The module of every subcommand.

@@ -13,6 +13,8 @@ from lfield.driver.plugin import Plugin
 from lfield.driver.settings import Setting
 from lfield.errors import DeviceError
 from lfield.text.files import read_within
+from lfield.text.findings import Table
+from lfield.text.source import Diagnostic, Diagnostics, Source, Span
 
 __all__ = [
     "WATCHDOG",
@@ -20,6 +22,8 @@ __all__ = [
     "Device",
     "DeviceBinding",
     "DeviceError",
+    "Diagnostic",
+    "Diagnostics",
     "Driver",
     "Frame",
     "Manifest",
@@ -29,6 +33,9 @@ __all__ = [
     "Pose",
     "Reports",
     "Setting",
+    "Source",
+    "Span",
+    "Table",
     "Vector",
     "read_within",
 ]

@@ -88,11 +88,20 @@ def reach(devices: Sequence[DeviceBinding], driver: KnownDriver, code: Iterable[
             needs.take(link.strip().partition(":")[0], found[0] if found else None)
     files = [path for device in devices for path in _files(device, driver)]
     own = [folder for folder in map(os.path.dirname, files) if _is_theirs(folder)]
-    reads = (*SYSTEM, *sorted(set(code)), *files)
+    reads = (*SYSTEM, *_resolver_folders(), *sorted(set(code)), *files)
     if needs.unknown:
         return Reach(reads, tuple(needs.writes), ("/dev", scratch, *own), None, internet=True, runs=True)
     folders = (*sorted(set(needs.folders)), *own)
     return Reach(reads, tuple(needs.writes), folders, tuple(needs.ports), internet=needs.internet)
+
+
+def _resolver_folders() -> tuple[str, ...]:
+    """The folder that /etc/resolv.conf leads into, where it is a link: the file there is replaced.
+
+    What is allowed is a file, not its name: after a change of the network the new one could not be read.
+    """
+    folder = os.path.dirname(os.path.realpath("/etc/resolv.conf"))
+    return (folder,) if folder.startswith("/run/") else ()
 
 
 def _is_theirs(folder: str) -> bool:

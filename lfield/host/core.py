@@ -17,6 +17,7 @@ from lfield.host.effects import CHANGED, Call, Complain, Effect, Nearby, Reach, 
 from lfield.host.inits import Inits
 from lfield.host.offers import Offers
 from lfield.host.sight.hops import Hops
+from lfield.host.sight.programs import Programs
 from lfield.host.sight.teller import Teller
 from lfield.host.team import words
 from lfield.host.team.absent import Absent
@@ -41,7 +42,7 @@ from lfield.vm.contract import Engines
 from lfield.vm.machine import Machine
 from lfield.wire.coordinators import Ended, EndedAck, Known, Transfer
 from lfield.wire.messages import Control, Heard, Hello, Report, Room
-from lfield.wire.observing import Recover, Recovered
+from lfield.wire.observing import Recover, Recovered, Status
 from lfield.wire.quorum import QuorumMessage
 from lfield.wire.reservations import ReservationMessage
 
@@ -89,16 +90,15 @@ class HostCore:
         self.machine = machine = Machine(
             mission.program, everybody, self.here, incarnation, self.world, clock, dice, fenced, engines
         )
-        machine.attached.rules = mission.calls
+        self.programs, machine.attached.rules = Programs(machine, clock.monotonic), mission.calls
         own = self._hello([])
         self._hops = hops = Hops(teller, machine, name, self.team)
         self.coordinators = team = Coordinators(
             mission, own, machine, clock, self._out, unreachable_after, pages, times or {}, hops
         )
-        self.mobility = team.mobility
         self.directory = TeamDirectory(mission, name, incarnation, machine, nearby, clock)
         self._leases = leases = Leases(mission, own, team, machine, clock, self._out, pages, dice)
-        team.barred = leases.quorum.fences.bars
+        team.barred, self.mobility = leases.quorum.fences.bars, team.mobility
         self._begun = BegunPages(own.mission, team, leases, machine, clock, pages, keeps=bool(memory))
         self.hearsay = Hearsay(self.team.hosts, self.here, incarnation, clock.monotonic(), neighbours)
         self.reserving = Reserving(
@@ -111,14 +111,16 @@ class HostCore:
         self.commands = Commands(machine, nearby, leases, self._policies, clock, self._out, teller)
         offers = Offers(self.directory, mission)
         absent = Absent(nearby, self.hearsay, clock, unreachable_after)
+        machine.attached.is_silent = lambda member: absent.is_silent(self.team.hosts[member.host])
         self.world.join(team, leases, self._begun, self.reserving, self.commands, offers, absent)
+        #: When the coordinators of this host begin, and what a new start of them waits for.
+        self.startup = startup = Beginning(
+            mission, name, team, leases, clock, self._out, nearby, self.hearsay, teller, kept=bool(memory)
+        )
         #: What may have something to do at a time.
-        self._timed: list[Timed] = [team, self.directory, self.hearsay, self._policies, self._inits]
+        self._timed: list[Timed] = [team, self.directory, self.hearsay, self._policies, self._inits, startup]
         self._timed += [leases] if leases.fenced else []
         self._timed += [self.reserving] if self._reserves else []
-        self._own = [member.id for member in self.team.on(self.here) if member.kind == "coordinator"]
-        others = [host for host in self.team.hosts if host != name]
-        self._beginning = Beginning(self._own, others, team, leases, self._say, kept=bool(memory))
 
     # --- out ------------------------------------------------------------------------------------------
 
@@ -158,6 +160,7 @@ class HostCore:
             str(self.mission.bindings.frames.origin or ""),
             self.mission.bindings.reservations.lease if self.mission.program.has_reserves else 0.0,
             bundle=self.mission.release.shared,
+            built=self.mission.release.digest if self.mission.release.of_files else b"",
         )
 
     # --- time -----------------------------------------------------------------------------------------
@@ -175,14 +178,15 @@ class HostCore:
             self._effects += self.directory.tick(now)
         if self.hearsay.due is not None and now >= self.hearsay.due:
             self._effects += [mobile.Send(host, news) for host, news in self.hearsay.tell(now)]
-        if self._leases.fenced and self._leases.tick(now):
-            self._beginning.look()
+        is_leased = self._leases.fenced and self._leases.tick(now)
+        if is_leased or ((due := self.startup.due) is not None and now >= due):
+            self.startup.look()
         if self._policies.due is not None and now >= self._policies.due:
             self._effects += self._policies.look(self.name, self.mobility.knowledge(), self.hearsay, now)
         self._begun.look()
         if self._reserves:
             self.reserving.look()
-        pause = None if self.coordinators.halted or self.coordinators.paused else self.machine.run()
+        pause = None if self.coordinators.halted or self.coordinators.paused else self.programs.run()
         self.coordinators.answer()
         self._inits.look(now)
         # A portal that has ended may be what somebody waits for who wants to reserve its resource.
@@ -230,7 +234,7 @@ class HostCore:
             if known.state in ("PREPARED", "IN DOUBT") and known.where:
                 self._hops.is_away(known)
                 self._reach(known.where)
-        self._beginning.begin(first=first)
+        self.startup.begin(first=first)
 
     def halt(self) -> None:
         """The host is stopping: no agent runs any more, and no coordinator is taken in.
@@ -240,14 +244,9 @@ class HostCore:
         self.coordinators.park()
 
     @property
-    def settled(self) -> bool:
-        """Whether the coordinators of this host are started, as far as they are."""
-        return self._beginning.settled
-
-    @property
     def has_coordinators(self) -> bool:
         """Whether any start here, or were here when this host was last up."""
-        return bool(self._own or self.coordinators.recovery.copies)
+        return bool(self.startup.own or self.coordinators.recovery.copies)
 
     @property
     def lease(self) -> float | None:
@@ -282,6 +281,7 @@ class HostCore:
         words.pause(self.coordinators, self.machine, self._clock.monotonic(), on=on)
         self.reserving.postpone()
         self._tell_room()
+        self.startup.look()
 
     def stop(self, reason: str) -> None:
         """A person has pressed the emergency stop, for that reason, or has lifted it ('')."""
@@ -292,26 +292,32 @@ class HostCore:
         self.coordinators.kept(number)
         self._begun.kept(number)
         self.reserving.kept(number)
-        self._beginning.kept(number)
+        self.startup.kept(number)
 
     def reaped(self, host: str) -> None:
         """A host of this team has ended for good: whoever started it says so."""
         if host in self.team.hosts and host != self.name:
             self.hearsay.gone.add(host)
-            self._beginning.heard(host)
-            self._beginning.look()
+            self.startup.heard(host)
+            self.startup.look()
             self._effects.append(CHANGED)
 
     def wanted(self) -> set[str]:
         """The hosts to have links with now: the neighbours, and whoever is waited for."""
         near = self.hearsay.wanted(self._clock.monotonic())
         needed = self.mobility.wanted() | self._leases.wanted | self.reserving.wanted
-        return {*near, *self._beginning.wanted, *needed} - {self.name}
+        return {*near, *self.startup.wanted, *needed} - {self.name}
 
-    def told(self, host: str, records: list[Known]) -> None:
-        """A host that was asked says what it knows of coordinators."""
-        self._policies.told(host, records, self._clock.monotonic())
-        self.coordinators.carry_out(self.mobility.told(host, records))
+    def told(self, host: str, status: Status) -> None:
+        """A host that was asked says how it is, and what it knows of coordinators."""
+        self._policies.told(host, status.coordinators, self._clock.monotonic())
+        self.coordinators.carry_out(self.mobility.told(host, status.coordinators))
+        self.startup.on_status(host, status)
+
+    def refused(self, host: str, reason: str, bundle: bytes) -> None:
+        """No link with a host can be made, for that reason; '' when that is over."""
+        self.teller.refused(host, reason)
+        self.startup.on_refused(host, reason, bundle)
 
     def forget(self, agent: str) -> list[int]:
         """A person says that this coordinator is lost; the starts of it that end here."""
@@ -319,8 +325,7 @@ class HostCore:
 
     def recover(self, word: Recover) -> Recovered:
         """A person says that whoever held a coordinator is gone for good: this host goes on with it."""
-        fence = self._leases.quorum.fences.of(word.agent)
-        return words.recover(self.coordinators, self.name, self.here, word, fence)
+        return words.recover(self.coordinators, self._leases, self.name, self.here, word)
 
     def pass_on(self, found: Iterable[Fate]) -> None:
         """This host is about to go: whoever can be reached is told of all endings, and of what it found."""
@@ -334,13 +339,13 @@ class HostCore:
         if restarted or hello.host in self.hearsay.near:
             self._say(f"linked with {hello.host}{', which was restarted' if restarted else ''}")
         self.teller.linked(hello.host, restarted=restarted)
-        self._beginning.heard(hello.host, hello.coordinators)
+        self.startup.heard(hello.host, hello.coordinators)
         self._effects += self.directory.linked(hello)
         if self.coordinators.room.trouble:
             self._effects.append(mobile.Send(hello.host, self.coordinators.room))
         self.coordinators.carry_out(self.mobility.linked(hello))
         self.reserving.linked()
-        self._beginning.look()
+        self.startup.look()
         self._effects.append(CHANGED)
 
     def unlinked(self, host: str, *, quietly: bool = False) -> None:
@@ -351,7 +356,8 @@ class HostCore:
         self.mobility.unlinked(host)
         self.directory.unlinked(host)
         self.hearsay.unlinked(host, self._clock.monotonic())
-        self._beginning.unlinked(host)
+        self.startup.unlinked(host)
+        self.startup.look()
         self._effects.append(CHANGED)
 
     def arrived(self, host: str, header: Transfer, block: memoryview) -> None:

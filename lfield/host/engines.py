@@ -64,7 +64,7 @@ def code_folder() -> Path | None:
     service = os.environ.get("CACHE_DIRECTORY", "").partition(":")[0]
     if service:
         return Path(service) / "code"
-    with suppress(NoHome):
+    with suppress(NoHome, OutputFileError):
         return cache_folder() / "code"
     return None
 

@@ -97,6 +97,7 @@ class Host:
         self.peers = Peers(
             self, transport, clock, dice, team.hosts, team.addresses, here, neighbours.near, options.admission
         )
+        self.peers.refusals.on_refused = lambda *refusal: self._enter(partial(self.core.refused, *refusal))
         self.guards = Guards(
             mission.drivers, self.clock, self.note, silence=mission.bindings.silence, turned=self.turn
         )
@@ -139,7 +140,6 @@ class Host:
         self._timer: asyncio.TimerHandle | asyncio.Handle | None = None
         self._due = 0.0
         self._events: deque[Callable[[], None]] = deque()
-        # Of a host that has no memory left; until then it is address space only.
         self._reserve = mmap(-1, RESERVE)
         self._entered = self._stopped = False
         options.admission.serve(self.flies, mission.access.barred, self.note)
@@ -361,7 +361,7 @@ class Host:
         if isinstance(message, Status):
             self.statuses[host] = message
             if host:
-                self._enter(partial(self.core.told, host, message.coordinators))
+                self._enter(partial(self.core.told, host, message))
             self.changed.set()
         elif isinstance(message, StatusRequest) or not host:
             self._visitors.received(message, link)

@@ -1,11 +1,15 @@
-"""Where a host's output goes: what programs write to stdout exactly as written, all else to stderr."""
+"""Output of a host: what programs write goes to stdout, log lines go to stderr.
+
+Program output goes out unchanged, unless stdout is a terminal: there every character that controls a terminal
+is shown as an escape of L, since a program may be another person's, and a terminal obeys what it reads.
+"""
 
 from __future__ import annotations
 
 import sys
 from typing import TextIO
 
-from lfield.text.visible import continued, in_one_line
+from lfield.text.visible import continued, in_one_line, visible
 
 
 class Logbook:
@@ -15,6 +19,7 @@ class Logbook:
         # None where the process was started without the stream.
         self._out: TextIO | None = out or sys.stdout
         self._log: TextIO | None = log or sys.stderr
+        self._is_terminal = self._out is not None and self._out.isatty()
         self._pending: list[str] = []
 
     def write(self, text: str) -> None:
@@ -27,7 +32,7 @@ class Logbook:
             return
         text, self._pending = "".join(self._pending), []
         if self._out is not None:
-            self._out.write(text)
+            self._out.write(visible(text) if self._is_terminal else text)
             self._out.flush()
 
     def note(self, text: str, *, lines: bool = False) -> None:

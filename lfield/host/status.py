@@ -88,6 +88,8 @@ def status_of(
         bundle=_bundle(core.mission.release),
         stopped=clip(core.coordinators.stopped),
         unkept=clip(unkept),
+        refused=core.startup.readiness.refused,
+        start=core.startup.status,
     )
 
 

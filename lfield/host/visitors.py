@@ -23,6 +23,8 @@ from lfield.wire.observing import (
     Forgotten,
     Pause,
     Recover,
+    StartRequest,
+    StartResponse,
     Status,
     StatusRequest,
 )
@@ -32,6 +34,8 @@ from lfield.wire.watching import Seen, Watch
 PAUSED = "the mission is paused"
 #: For so many seconds an emergency stop, which holds already, waits for the disk before it is answered.
 KEPT_WITHIN = 2.0
+#: For so many seconds the answer to a start waits for what other hosts say of their vehicles.
+STARTED_WITHIN = 3.0
 #: The status of a host is told at most every so many seconds: whoever asks more often gets one for all.
 STATUS_EVERY = 0.05
 #: Whoever has asked within so many seconds is looking at the devices, and gets one more answer in so many.
@@ -85,6 +89,8 @@ class Visitors:
                 spawn(self._pause(message, link))
             case Recover():
                 spawn(self._keep(link, lambda: self._core.recover(message)))
+            case StartRequest():
+                spawn(self._start(message, link))
 
     def _show(self, link: Link) -> None:
         """Tell the status now, or soon; nobody can keep a host busy by asking."""
@@ -163,6 +169,20 @@ class Visitors:
             devices = await self._guards.rest(PAUSED)
         if await self._all_kept(None):
             self._answer(link, EmergencyStopped(devices))
+
+    async def _start(self, message: StartRequest, link: Link) -> None:
+        """Start what waits, and answer when it is started, or when it is known what it still waits for."""
+        startup = self._core.startup
+        answers: list[StartResponse] = []
+        self._note(f"'lfield start' by {link.who}")
+        self._enter(lambda: answers.append(startup.start(message.without)))
+        until = self._clock.monotonic() + STARTED_WITHIN
+        while startup.is_settling and self._clock.monotonic() < until:
+            await asyncio.sleep(STATUS_EVERY)
+        if await self._all_kept(None) and answers:
+            waiting = startup.status
+            started = [] if waiting is not None or answers[0].trouble else answers[0].started
+            self._answer(link, StartResponse(started, waiting, answers[0].trouble))
 
     async def _keep(self, link: Link, do: Callable[[], Control]) -> None:
         """Answer when what a person's word has changed is on the disk, not before."""

@@ -41,12 +41,12 @@ class Entry:
 
 
 def _is_ipv6(host: str) -> bool:
-    """`[::1]`: the brackets keep its colons apart from that of the port."""
+    """`[::1]`, `[fe80::1%wlan0]`: the brackets keep its colons apart from that of the port."""
     try:
-        IPv6Address(host[1:-1])
+        zone = IPv6Address(host[1:-1]).scope_id
     except ValueError:
         return False
-    return host[0] + host[-1] == "[]" and "%" not in host
+    return host[0] + host[-1] == "[]" and (zone is None or _NAME.fullmatch(zone) is not None)
 
 
 class _Shapeless(Exception):

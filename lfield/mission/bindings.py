@@ -85,6 +85,13 @@ class ReservationTimes:
 
 
 @dataclass(frozen=True, slots=True)
+class MissionStart:
+    """What a new start of a coordinator does not wait for: the hosts in `without`."""
+
+    without: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
 class Frames:
     """The team's frame: its `origin` on the Earth, and the poses in it of hosts and of agents.
 
@@ -131,6 +138,7 @@ class Bindings:
     frames: Frames = field(default_factory=Frames)
     reservations: ReservationTimes = field(default_factory=ReservationTimes)
     engine: str = "auto"
+    start: MissionStart = field(default_factory=MissionStart)
 
     def reserved_wait(self, agent: str) -> float:
         """For how many seconds others wait for a resource that somebody has reserved."""

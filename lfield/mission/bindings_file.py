@@ -29,6 +29,7 @@ recovery: {lease: 2, members: [a, b, c]}   # of coordinators that call heartbeat
                                            # decides that one is lost, and the seconds it may run unheard
 reservations: {lease: 6, wait: 5}          # seconds that a `reserve` lasts without a sign of its holder,
                                            # and that others wait for what is reserved
+start: {without: [d]}                      # hosts that a new start of a coordinator does not wait for
 ```
 
 The keys of a device that every driver has are `driver`, `endpoint`, `ttl`, `safe_state`, `rest_within`,
@@ -65,6 +66,7 @@ from lfield.mission.bindings import (
     USUAL_RESERVED_WAIT,
     Bindings,
     Frames,
+    MissionStart,
     Needed,
     Recovery,
     ReservationTimes,
@@ -223,6 +225,7 @@ class BindingsReader:
         silence = top.number("silence", SILENCE, minimum=0.1, maximum=10.0)
         recovery = self._recovery(top.section("recovery"), silence)
         reservations = _reservations(top.section("reservations"))
+        start = self._start(top.section("start"))
         waits: dict[str, float] = {}
         entries = list(top.section("agents").entries())
         # Before the devices, which have to know.
@@ -259,6 +262,7 @@ class BindingsReader:
             frames,
             reservations,
             engine,
+            start,
         )
 
     def _stated(self, fields: Fields) -> dict[str, Stated]:
@@ -285,18 +289,30 @@ class BindingsReader:
 
     def _check_members(self, fields: Fields, nodes: Sequence[Node]) -> None:
         """Each is another host of the team, and they are not too many."""
-        texts = [n for n in nodes if isinstance(n, Scalar) and isinstance(n.value, str)]
-        members = [str(node.value) for node in texts]
-        for number, (host, node) in enumerate(zip(members, texts, strict=True)):
-            if host in members[:number]:
-                fields.report("Y113", f"'{host}' is named twice", node.span, "each member counts once")
-            elif self._hosts is not None and host not in self._hosts:
-                hint = did_you_mean(host, self._hosts) or f"its hosts: {', '.join(self._hosts)}"
-                fields.report("Y113", f"the deployment has no host '{host}'", node.span, hint)
+        self._check_hosts(fields, nodes, "each member counts once")
         if not 1 <= len(nodes) <= MOST_MEMBERS:
             said = f"'members' must be 1 to {MOST_MEMBERS} hosts, not {len(nodes)}"
             hint = "more than half of them decide that a coordinator is lost"
             fields.report("Y113", said, fields.key_span("members"), hint)
+
+    def _start(self, fields: Fields) -> MissionStart:
+        without = fields.texts("without")
+        written = fields.node("without")
+        if isinstance(written, Listing):
+            self._check_hosts(fields, written.items, "once is enough")
+        fields.done()
+        return MissionStart(without)
+
+    def _check_hosts(self, fields: Fields, nodes: Sequence[Node], once: str) -> None:
+        """Each is another host of the team; `once` is the hint about one that is named twice."""
+        texts = [n for n in nodes if isinstance(n, Scalar) and isinstance(n.value, str)]
+        names = [str(node.value) for node in texts]
+        for number, (host, node) in enumerate(zip(names, texts, strict=True)):
+            if host in names[:number]:
+                fields.report("Y113", f"'{host}' is named twice", node.span, once)
+            elif self._hosts is not None and host not in self._hosts:
+                hint = did_you_mean(host, self._hosts) or f"its hosts: {', '.join(self._hosts)}"
+                fields.report("Y113", f"the deployment has no host '{host}'", node.span, hint)
 
     def _limits(self, fields: Fields, defaults: Limits) -> Limits:
         return Limits(

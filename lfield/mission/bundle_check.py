@@ -20,6 +20,7 @@ from lfield.mission.bindings import (
     MOST_MEMBERS,
     SHORTEST_LEASE,
     Bindings,
+    MissionStart,
     Needed,
     Recovery,
     each_needed,
@@ -63,6 +64,7 @@ def check_bindings(bindings: Bindings, needed: Needed, drivers: KnownDrivers, ho
         *_devices(bindings, needed, drivers),
         *_limits(bindings),
         *_recovery(bindings.recovery, hosts),
+        *_start(bindings.start, hosts),
         *_frames(bindings),
     )
     for problem in problems:
@@ -75,6 +77,11 @@ def _recovery(recovery: Recovery, hosts: Collection[str]) -> Iterator[str]:
     members = set(recovery.members)
     if not (members <= set(hosts) and len(members) == len(recovery.members) <= MOST_MEMBERS):
         yield "the members of its recovery are no hosts of its team, or too many"
+
+
+def _start(start: MissionStart, hosts: Collection[str]) -> Iterator[str]:
+    if not (set(start.without) <= set(hosts) and len(set(start.without)) == len(start.without)):
+        yield "the hosts that its start does not wait for are no hosts of its team"
 
 
 def _frames(bindings: Bindings) -> Iterator[str]:

@@ -22,6 +22,9 @@ from lfield.mission.team import Team
 #: The attributes that say where an agent is in the team's frame.
 PLACE = frozenset({"north", "east", "down"})
 
+#: The quantity of a vehicle that says whether it stands on the ground.
+ON_GROUND = "landed"
+
 #: What the devices of a team are. A team that has none is neither.
 World = Literal["", "fakes", "hardware"]
 
@@ -70,6 +73,20 @@ class Mission:
     def devices_of(self, host: str) -> list[DeviceBinding]:
         """The devices of the agents that the deployment puts on a host."""
         return self.bindings.of([member.id for member in self.team.on(self.team.number(host))])
+
+    def has_resources(self, host: str) -> bool:
+        """Whether the deployment puts a resource on a host: a new start of a coordinator needs that host."""
+        return any(member.kind == "resource" for member in self.team.on(self.team.number(host)))
+
+    def vehicles_of(self, host: str) -> list[str]:
+        """The devices of a host that say whether they are on the ground, by their names."""
+        found = []
+        for device in self.devices_of(host):
+            driver = self.drivers.by_driver.get(device.driver)
+            manifest = driver.manifests.get(device.type) if driver is not None else None
+            if manifest is not None and any(each.name == ON_GROUND for each in manifest.device.telemetry):
+                found.append(device.name)
+        return found
 
     @property
     def world(self) -> World:

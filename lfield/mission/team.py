@@ -9,8 +9,8 @@ from typing import NamedTuple
 
 import msgspec
 
-from lfield.errors import UsageError
-from lfield.net.transport import DEFAULT_PORT
+from lfield.errors import AddressError, UsageError
+from lfield.net.transport import DEFAULT_PORT, split_address
 from lfield.text.suggest import did_you_mean, listed
 from lfield.vm.agent import AgentKind, Member
 
@@ -121,8 +121,20 @@ def parse_maps(words: Sequence[str], team: Team) -> dict[str, str]:
     maps: dict[str, str] = {}
     for word in words:
         name, equals, address = word.partition("=")
-        host, colon, port = address.rpartition(":")
-        if not (equals and colon and host and port.isascii() and port.isdigit() and 0 < int(port) < 65536):
-            raise UsageError(f"--map {word}: write it as NAME=ADDR:PORT, as in --map alpha=10.0.0.5:8181")
+        if not equals or not _has_port(address):
+            raise UsageError(
+                f"--map {word}: write it as NAME=ADDR:PORT, as in --map alpha=10.0.0.5:8181 or "
+                "--map alpha=[fd00::5]:8181"
+            )
         maps[team.lookup(name)] = address
     return maps
+
+
+def _has_port(address: str) -> bool:
+    """Whether it is an address with a port that can be called, IPv6 in brackets."""
+    try:
+        _, port = split_address(address)
+    except AddressError:
+        return False
+    _, colon, written = address.rpartition(":")
+    return bool(colon) and written.isdigit() and port > 0

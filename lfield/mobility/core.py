@@ -16,7 +16,7 @@ from lfield.mobility.copies import LIVE, UNREADABLE, Copies
 from lfield.mobility.departures import Departures
 from lfield.mobility.effects import Began, Finished, Go
 from lfield.mobility.endings import Endings
-from lfield.mobility.recoveries import Recoveries, bar, newest
+from lfield.mobility.recoveries import Recoveries, bar, newest, termination
 from lfield.wire.coordinators import Accepted, Ended, EndedAck, Inquire, Known, Refused, Transfer
 from lfield.wire.messages import Hello
 
@@ -159,6 +159,22 @@ class Mobility:
         gone |= {generation for name, generation in self._copies.parked if name == agent}
         effects = self._endings.lose(agent, sorted(gone), detail)
         return [effect.generation for effect in effects if isinstance(effect, Finished)], effects
+
+    def delay(self, is_delayed: Callable[[Ended], bool]) -> None:
+        """Endings elsewhere of which this is true are neither kept nor confirmed until `terminated`."""
+        self._endings.is_delayed = is_delayed
+
+    def terminated(self, ended: Ended) -> list[Effect]:
+        """A coordinator has ended elsewhere, and that may come to the disk now."""
+        return self._endings.terminated(ended)
+
+    def termination(self, agent: str) -> Copy | None:
+        """The newest start of it that is known to have ended; None when a later one is here."""
+        return termination(self._copies.of(agent))
+
+    def unconfirmed_by(self, agent: str, generation: int) -> Collection[str]:
+        """The hosts that have not confirmed an ending that this host tells of."""
+        return self._endings.unconfirmed_by(agent, generation)
 
     def bar(self, agent: str, generation: int, reason: str) -> list[Effect]:
         """No start of it before `generation` may run any more: those that are here stop."""

@@ -18,7 +18,7 @@ from lfield.wire.fields import clip
 from lfield.wire.messages import Hello
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable, Mapping
+    from collections.abc import Callable, Collection, Iterable, Mapping
 
 
 class Endings:
@@ -29,6 +29,8 @@ class Endings:
         self._untold: dict[tuple[str, int], tuple[Ended, set[str]]] = {}
         #: The losses that another host, which goes, has told of, and when it did so first: then it was news.
         self._losses: dict[tuple[str, int], float] = {}
+        #: Whether an ending that another host tells of must not come to the disk yet, nor be confirmed.
+        self.is_delayed: Callable[[Ended], bool] = lambda ended: False
 
     def end(self, copy: Copy, outcome: Outcome, detail: str) -> list[Effect]:
         """End a copy here and tell every host, each until it confirms."""
@@ -100,6 +102,8 @@ class Endings:
         effects = self.learn(message)
         key = message.agent, message.generation
         copy = self._copies.find(*key)
+        if copy is not None and copy.state != "EXITED" and self.is_delayed(message):
+            return effects
         if copy is not None and copy.outcome == message.outcome == "lost":
             self._losses.setdefault(key, now)
         return [*effects, Send(host, EndedAck(message.agent, message.generation))]
@@ -118,11 +122,23 @@ class Endings:
                 del self._untold[key]
         return []
 
-    def learn(self, ended: Ended) -> list[Effect]:
-        """Take note of an ending elsewhere, unless the copy held here proves it wrong."""
-        return self.fence(ended.agent, ended.generation, ended.host) + self._learn(ended)
+    def unconfirmed_by(self, agent: str, generation: int) -> Collection[str]:
+        """The hosts that have yet to confirm that they know of an ending here."""
+        _, hosts = self._untold.get((agent, generation), (None, ()))
+        return hosts
 
-    def _learn(self, ended: Ended) -> list[Effect]:
+    def learn(self, ended: Ended) -> list[Effect]:
+        """Take note of an ending elsewhere, unless the copy held here proves it wrong, or it is delayed."""
+        return self.fence(ended.agent, ended.generation, ended.host) + self._learn(ended, self.is_delayed)
+
+    def terminated(self, ended: Ended) -> list[Effect]:
+        """`learn`, for an ending that need not wait any more; it is confirmed to the host where it ended."""
+        effects = self._learn(ended, lambda ended: False)
+        if ended.host in self._links:
+            effects.append(Send(ended.host, EndedAck(ended.agent, ended.generation)))
+        return effects
+
+    def _learn(self, ended: Ended, is_delayed: Callable[[Ended], bool]) -> list[Effect]:
         parked = self._copies.parked.get((ended.agent, ended.generation))
         if parked is not None and parked.state == "RUN" and ended.outcome != "superseded":
             return []
@@ -135,6 +151,8 @@ class Endings:
         if copy.state in ("RUN", "FROZEN"):
             return []
         if copy.state == "PREPARED" and ended.outcome == "lost" and not self._forsaken(copy):
+            return []
+        if is_delayed(ended):
             return []
         copy.end(ended.outcome, ended.detail, ended.host)
         return [

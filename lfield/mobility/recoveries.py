@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 from lfield.mobility.copies import Copies, Copy
 from lfield.mobility.departures import PERHAPS, RESTARTED
 from lfield.mobility.effects import Began, Effect, Resume, Supersede
+from lfield.wire.coordinators import TERMINAL
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection
@@ -78,6 +79,14 @@ def bar(copies: Collection[Copy], generation: int, reason: str) -> list[Effect]:
 
 def newest(copies: Collection[Copy]) -> Copy | None:
     """The copy that a coordinator could go on from; None when nothing is here, or a later start has ended."""
-    ended = max((copy.generation for copy in copies if copy.outcome in ("done", "died", "lost")), default=0)
+    ended = max((copy.generation for copy in copies if copy.outcome in TERMINAL), default=0)
     here = (copy for copy in copies if copy.state not in ("ABSENT", "EXITED") and copy.generation > ended)
     return max(here, key=lambda copy: copy.generation, default=None)
+
+
+def termination(copies: Collection[Copy]) -> Copy | None:
+    """The newest start that has terminated; None without one, or when a later one is left here."""
+    if newest(copies) is not None:
+        return None
+    ended = (copy for copy in copies if copy.outcome in TERMINAL)
+    return max(ended, key=lambda copy: copy.generation, default=None)

@@ -28,6 +28,8 @@ class Starts:
         self._record: int | None = None
         self._newest = 0
         self._waiting = self._begun = False
+        #: The hosts that need not be heard, by the devices file or an operator's command.
+        self._without: set[str] = set()
         self._told = ""
 
     def heard(self, host: str, known: Iterable[Known] = ()) -> None:
@@ -48,6 +50,10 @@ class Starts:
         """No start up to this number may be made."""
         self._newest = max(self._newest, generation)
 
+    def leave_out(self, hosts: Iterable[str]) -> None:
+        """These need not be heard: an earlier start is not looked for there."""
+        self._without.update(hosts)
+
     def begin(self, record: int | None, *, first: bool) -> None:
         """The others had time to answer. `record` is the last start on record here, None without one.
 
@@ -55,6 +61,11 @@ class Starts:
         """
         self._record = 0 if record is None and first else record
         self._waiting = bool(self.agents)
+
+    @property
+    def is_waiting(self) -> bool:
+        """Whether the others had time to answer, and nothing is started yet."""
+        return self._waiting
 
     @property
     def due(self) -> bool:
@@ -82,7 +93,7 @@ class Starts:
     @property
     def missing(self) -> list[str]:
         """The hosts that must be heard first."""
-        return sorted(self._unheard) if self._record is None else []
+        return sorted(self._unheard - self._without) if self._record is None else []
 
     @property
     def next(self) -> int:

@@ -27,6 +27,9 @@ if TYPE_CHECKING:
     from lfield.wire.framing import Buffer
     from lfield.wire.messages import Message, Role
 
+#: So many bytes of a message count as one more (`FramedLink.weight`).
+_HEAVY = 1 << 11
+
 # Up to here one copy is cheaper than a second system call; a larger block is written by itself.
 _ONE_WRITE = 64 * 1024
 
@@ -44,6 +47,8 @@ class FramedLink:
         self.peer = peer
         self.who: Identity = STRANGER
         self.closed = False
+        #: How much was taken: a transfer counts one, a message one and one more for each _HEAVY bytes.
+        self.weight = 0
         self._error: LfieldError | None = None
         self._max_block = max_block
         self._decoder = frame_decoder(self._oversize)
@@ -88,6 +93,7 @@ class FramedLink:
         frame = self._decoder.whole(data)
         try:
             for kind, payload in self._decoder.feed(data) if frame is None else (frame,):
+                self.weight += 1 if kind == TRANSFER else 1 + len(payload) // _HEAVY
                 if kind == TRANSFER:
                     header, block = decode_transfer(payload)
                     self.handler.on_transfer(self, header, block)

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, NoReturn
 from lfield.authority.judge import ALL_IS_WELL, Verdict
 from lfield.authority.rights import lacks
 from lfield.errors import GreetingError, WireError
+from lfield.wire.fields import short_digest
 from lfield.wire.messages import PROTOCOL, ForeignHello, Hello, Refuse
 
 if TYPE_CHECKING:
@@ -48,6 +49,8 @@ class Greeting:
         self.own, self.who, self.verdict = own, who, verdict
         self.peer: Hello | None = None
         self.refusal: Refuse | None = None
+        #: The bundle of a peer whose greeting did not fit, b"" where it has none or did not say.
+        self.refused_bundle = b""
         self._hosts, self._dialled = hosts, dialled
         self._linked: Mapping[str, int] = {} if linked is None else linked
 
@@ -81,8 +84,7 @@ class Greeting:
         self._check_identity(message)
         if "observer" not in (self.own.role, message.role):
             self._check_name(message)
-        self._check_hashes(message)
-        self._check_bundle(message)
+        self._check_mission(message)
         self._check_devices(message)
         self._check_memory(message)
         self._check_recovery(message)
@@ -137,7 +139,28 @@ class Greeting:
                 "when the old link is gone"
             )
 
-    def _check_hashes(self, hello: Hello) -> None:
+    def _check_mission(self, hello: Hello) -> None:
+        """All hosts of a team run the same bundle, or at least the same of each part where they have built
+        their own of files. People compare bundles, so both digests are named wherever there are two."""
+        if "observer" in (self.own.role, hello.role):
+            return
+        different, remedy = self._first_difference(hello)
+        is_other_bundle = self.own.bundle and hello.bundle and self.own.bundle != hello.bundle
+        if not (different or is_other_bundle):
+            return
+        self.refused_bundle = theirs = hello.bundle or hello.built
+        ours = self.own.bundle or self.own.built
+        if ours and theirs and ours != theirs:
+            part = f", which differ in their {different}" if different else ""
+            self._refuse(
+                f"{self.own.host} runs bundle {short_digest(ours)} and {hello.host} runs bundle "
+                f"{short_digest(theirs)}{part}: copy one of the two to both, and give a robot what is its "
+                "own with --devices"
+            )
+        self._refuse(remedy)
+
+    def _first_difference(self, hello: Hello) -> tuple[str, str]:
+        """Which part of the mission the two do not have alike, and what is said of that; '' for none."""
         pairs = (
             ("program", self.own.program, hello.program, "the same program file"),
             ("deployment", self.own.deployment, hello.deployment, "the same .dL file"),
@@ -150,21 +173,12 @@ class Greeting:
             ("access rules", self.own.access, hello.access, "the same .access.yaml file"),
         )
         for what, ours, theirs, remedy in pairs:
-            if ours != theirs and "observer" not in (self.own.role, hello.role):
-                self._refuse(
+            if ours != theirs:
+                return what, (
                     f"{self.own.host} has {what} {ours.hex()[:12] or '(none)'} and {hello.host} has {what} "
                     f"{theirs.hex()[:12] or '(none)'}; start both from {remedy}, or from one bundle"
                 )
-
-    def _check_bundle(self, hello: Hello) -> None:
-        """Whoever signs a bundle signs limits and bindings too: of another one no coordinator comes."""
-        ours, theirs = self.own.bundle, hello.bundle
-        if "observer" not in (self.own.role, hello.role) and ours and theirs and ours != theirs:
-            self._refuse(
-                f"{self.own.host} runs bundle {ours.hex()[:12]} and {hello.host} runs bundle "
-                f"{theirs.hex()[:12]}: copy one of the two to both, and give a robot what is its own with "
-                "--devices"
-            )
+        return "", ""
 
     def _check_devices(self, hello: Hello) -> None:
         """What moves only in a simulation must not wait for robots, nor robots for it."""

@@ -7,8 +7,11 @@ import socket
 from collections.abc import Sequence
 
 from lfield.errors import AddressError, UsageError
-from lfield.net.tcp import refusal
-from lfield.net.transport import join_address, split_address
+from lfield.net.paths.listener import bound
+from lfield.net.paths.names import numbers_of
+from lfield.net.paths.reasons import refusal
+from lfield.net.stream import socket_address
+from lfield.net.transport import split_address
 
 
 def own_host(hosts: Sequence[str]) -> str:
@@ -52,32 +55,31 @@ def insist_on_free(address: str) -> None:
     """
     host, port = split_address(address)
     try:
-        for family, _, _, _, found in socket.getaddrinfo(host, port, type=socket.SOCK_STREAM):
-            _bind(family, found)
+        for at in numbers_of(host, port):
+            bound(at, port).close()
     except (OSError, UnicodeError) as error:
         if isinstance(error, OSError) and error.errno == errno.EADDRINUSE:
             raise AddressError(address, refusal(error)) from None
 
 
-def _bind(family: int, address: tuple[str | int | bytes, ...]) -> None:
-    """Have an address for a moment, as a host would: what is left of the last one's links does not count."""
-    with socket.socket(family, socket.SOCK_STREAM) as probe:
-        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        if family == socket.AF_INET6:
-            probe.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_V6ONLY, 1)
-        probe.bind(address)
-
-
 def reserve(address: str) -> tuple[socket.socket, str]:
     """A listening socket, to be inherited by another process, and its address; port 0 takes a free one.
 
-    Raises AddressError.
+    Of a name the first address that is one of this computer. Raises AddressError.
     """
     host, port = split_address(address)
+    refused: OSError | UnicodeError | None = None
     try:
-        family, _, _, _, found = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
-        reserved = socket.create_server(found[:2], family=family)
+        for at in numbers_of(host, port):
+            try:
+                reserved = bound(at, port)
+            except OSError as error:
+                refused = refused or error
+                continue
+            reserved.setblocking(True)
+            reserved.listen()
+            reserved.set_inheritable(True)
+            return reserved, socket_address(reserved.getsockname())
     except (OSError, UnicodeError) as error:
-        raise AddressError(address, refusal(error)) from None
-    reserved.set_inheritable(True)
-    return reserved, join_address(*reserved.getsockname()[:2])
+        refused = error
+    raise AddressError(address, refusal(refused or OSError(errno.EADDRNOTAVAIL, ""))) from None

@@ -58,3 +58,24 @@ class Complaints:
             self._said.clear()
         self._said.add(text)
         self._note(text)
+
+
+class Refusals:
+    """The hosts with which no link can be made, since one of the two refuses the other's greeting.
+
+    `hosts` are those of the deployment. `on_refused` is called with the host, the reason, and the digest of
+    the bundle that it runs, b"" where that is not known, whenever one of these is new; the reason is '' when
+    the host does not answer any more, or has been linked.
+    """
+
+    def __init__(self, hosts: Collection[str]) -> None:
+        self._hosts = hosts
+        self._last: dict[str, tuple[str, bytes]] = {}
+        self.on_refused: Callable[[str, str, bytes], None] = lambda host, reason, bundle: None
+
+    def report(self, host: str, reason: str, bundle: bytes = b"") -> None:
+        """A link with a host was refused, by this side or the other; '' as the reason: it is no longer."""
+        if host not in self._hosts or self._last.get(host, ("", b"")) == (reason, bundle):
+            return
+        self._last[host] = reason, bundle
+        self.on_refused(host, reason, bundle)

@@ -17,24 +17,26 @@ from contextlib import suppress
 from lfield.authority.admission import Admission
 from lfield.authority.identity import Identity
 from lfield.clock import Clock
-from lfield.errors import AddressError, GreetingError, KeysError, WireError
+from lfield.errors import AddressError, KeysError, WireError
 from lfield.loop import spare_descriptors, spawn
 from lfield.net.greeting import Greeting
 from lfield.net.guests import Guests
-from lfield.net.owner import Complaints, Owner
+from lfield.net.owner import Complaints, Owner, Refusals
+from lfield.net.paths.dialler import Dialler
 from lfield.net.session import Session
 from lfield.net.transport import Link, Listener, Transport
+from lfield.net.waiting.bars import Bars
 from lfield.wire.coordinators import Transfer
 from lfield.wire.framing import Buffer
 from lfield.wire.messages import Control, Hello, Ping, Pong, Revocations
 
-#: Seconds between two attempts to reach a host: the first wait, and the longest.
-FIRST_RETRY, LAST_RETRY = 0.05, 1.0
 #: A link that is wanted is looked at every so many seconds and, unless something just came in, asked for a
 #: sign of life, by the host that stands first, or else by the other. After so many without, it is given up.
 PING_EVERY, SILENT_FOR = 1.0, 3.0
 #: So many seconds a link is wanted that was needed for once, and one that nobody wants is kept.
 QUIET_FOR = 10.0
+#: After so many seconds without a link both of two neighbours call.
+BOTH_CALL_AFTER = 3.0
 #: So long at most a call is new, in seconds.
 NEW_FOR = 1.0
 #: So many links at most that have not greeted, by address, and of observers, by who they are.
@@ -63,18 +65,16 @@ class Peers:
     ) -> None:
         self._owner, self._transport, self._clock = owner, transport, clock
         self._admission = admission or Admission()
-        #: The clock's monotonic time.
         self.now = clock.monotonic
         self._hosts, self._addresses, self._here, self._near = hosts, addresses, here, near
         self._numbers = {host: number for number, host in enumerate(hosts)}
         #: Whom this host wants to talk to: always, and until when.
         self._wanted: frozenset[str] = frozenset()
         self._needed: dict[str, float] = {}
-        #: The tasks that call, and the calls that have not been taken yet.
-        self._callers: dict[str, asyncio.Task[None]] = {}
-        self._dialling: dict[str, Session] = {}
-        #: Those that were called without success since they were last linked.
-        self._tried: set[str] = set()
+        #: Those that call, by host.
+        self._callers: dict[str, Dialler] = {}
+        #: When each last called, and the hosts that sent too much.
+        self._came, self._bars = dict[str, float](), Bars()
         self._links: dict[str, Session] = {}
         self._tasks: list[asyncio.Task[None]] = []
         self._listeners: list[Listener] = []
@@ -88,6 +88,7 @@ class Peers:
         self._last_heard: dict[str, float] = {}
         #: Since when each host that is wanted and has no link has had none, on the monotonic clock.
         self.away: dict[str, float] = {}
+        self.refusals = Refusals(hosts)
 
     @property
     def incarnations(self) -> dict[str, int]:
@@ -131,8 +132,10 @@ class Peers:
     def close(self) -> None:
         """Close the port and every link."""
         self._wanted, self._needed = frozenset(), {}
-        for task in (*self._tasks, *self._callers.values()):
+        for task in self._tasks:
             task.cancel()
+        for caller in self._callers.values():
+            caller.cancel()
         for listener in self._listeners:
             listener.close()
         for session in list(self._links.values()):
@@ -151,10 +154,8 @@ class Peers:
         """Send a coordinator to a host. Where the link is just closing, `unlinked` is about to follow."""
         session = self._links.get(host)
         if session:
-            try:
+            with suppress(AddressError):
                 session.link.send_transfer(header, block)
-            except AddressError:
-                return
 
     # --- both directions ------------------------------------------------------------------------------
 
@@ -179,7 +180,8 @@ class Peers:
     def is_new(self, host: str) -> bool:
         """Whether a host has no link yet, and this one has just begun to call it."""
         since = self.away.get(host, -NEW_FOR)
-        called = host in self._callers and host not in self._tried
+        caller = self._callers.get(host)
+        called = caller is not None and not caller.has_failed
         return called and self._clock.monotonic() - since < NEW_FOR
 
     def wants(self, host: str) -> bool:
@@ -187,52 +189,35 @@ class Peers:
         return host in self._wanted or self._needed.get(host, 0.0) > self._clock.monotonic()
 
     def _call(self, host: str) -> None:
-        number = self._numbers[host]
-        if host in self._links or (host in self._near and number < self._here):
+        if host in self._links or (self._is_called_by(host) and not self._is_missed(host)):
             return
         caller = self._callers.get(host)
-        if caller is None or caller.done():
-            self._callers[host] = spawn(self._keep_calling(host, self._addresses[number]))
+        if caller is None or caller.is_over:
+            at, note = self._addresses[self._numbers[host]], self._owner.note
+            self._callers[host] = Dialler(self, self._transport, self._clock, host, at, note)
 
-    async def _keep_calling(self, name: str, address: str) -> None:
-        wait, told = FIRST_RETRY, ""
-        while self.wants(name):
-            if there := self._links.get(name):
-                await there.over.wait()
-                wait = FIRST_RETRY
-            else:
-                session = self._dialling[name] = Session(self, dialled=name)
-                reason = await self._dial(session, name, address)
-                wait = FIRST_RETRY if session.linked else wait
-                if reason and reason != told:
-                    # A host that is not up yet is no news; one that is there and refuses is.
-                    if session.connected and not session.linked:
-                        self._owner.note(f"cannot talk to {name}: {reason}")
-                    told = reason
-            await asyncio.sleep(wait)
-            wait = min(LAST_RETRY, wait * 1.5)
+    def _is_called_by(self, host: str) -> bool:
+        """Whether a host is a neighbour that stands before this one: it calls."""
+        return host in self._near and self._numbers[host] < self._here
 
-    async def _dial(self, session: Session, name: str, address: str) -> str:
-        """Call, and stay until the link is over; why it is, or was never there."""
-        try:
-            link = await self._transport.connect(address, session)
-            if self._links.get(name) not in (None, session):
-                # It has called meanwhile.
-                link.close()
-            else:
-                session.begin(link)
-            await session.over.wait()
-            return session.reason
-        except (AddressError, GreetingError, WireError) as error:
-            # Who does not prove who it is was there, which is news.
-            session.connected |= not isinstance(error, AddressError)
-            return str(error)
-        finally:
-            self._dialling.pop(name, None)
-            self._tried.add(name)
-            self._heard_of(name)
+    def _is_missed(self, host: str) -> bool:
+        """Whether a host has neither had a link nor called for so long that both of the two call: it may not
+        find this one, as when this computer has another network card now."""
+        now = self._clock.monotonic()
+        return now - max(self.away.get(host, now), self._came.get(host, 0.0)) >= BOTH_CALL_AFTER
 
-    def _heard_of(self, host: str) -> None:
+    # --- what diallers ask ----------------------------------------------------------------------------
+
+    def link_of(self, host: str) -> Session | None:
+        """See `Diallers.link_of`."""
+        return self._links.get(host)
+
+    def barred_for(self, host: str) -> float:
+        """For how many seconds a host is not accepted, since it has sent too much."""
+        return self._bars.left(host, self.now())
+
+    def called(self, host: str) -> None:
+        """A host was called, whatever came of it, or has greeted."""
         self._unheard.discard(host)
         if not self._unheard:
             self._all_heard.set()
@@ -261,19 +246,18 @@ class Peers:
             self._call(host)
         for host in sorted(self._callers.keys() - wanted - self._links.keys()):
             self._callers.pop(host).cancel()
-            self._tried.discard(host)
 
     def _look_at(self, host: str, session: Session, now: float, token: int) -> None:
         silent = now - session.heard
         if not self.wants(host):
-            # From here on nobody need ask for signs of life.
             session.idle = now
             if silent > QUIET_FOR:
                 session.link.close()
                 self.gone(session)
         elif now - max(session.heard, session.idle) > SILENT_FOR:
             self._owner.note(f"{host} has been silent for {SILENT_FOR:g} s: giving the link up")
-            session.link.close()
+            # What waits for it would keep the link open for a while yet.
+            session.link.abort()
             self.gone(session)
         elif silent >= (0.5 if self._here < self._numbers[host] else 1.5) * PING_EVERY:
             self.send(host, Ping(token))
@@ -282,6 +266,8 @@ class Peers:
 
     def new_greeting(self, dialled: str | None, who: Identity) -> Greeting:
         """The greeting for a new link."""
+        if dialled is None:
+            self._came[who.name] = self.now()
         return Greeting(
             self._admission.signed(self._owner.hello()),
             who,
@@ -302,7 +288,8 @@ class Peers:
 
     def crossed(self, host: str, came: float) -> bool:
         """Whether this host's own call is the one that counts, of two that crossed; the other `came` then."""
-        own = self._dialling.get(host)
+        caller = self._callers.get(host)
+        own = caller.session if caller is not None else None
         if own is None or not own.connected:
             return False
         if self._here < self._numbers.get(host, -1):
@@ -317,7 +304,8 @@ class Peers:
 
         What a revoked host may finish it does as a host: the link on which it only looks is none that stands.
         """
-        links, others = self._links.values(), (*self._observers, *self._ungreeted, *self._dialling.values())
+        dialling = [caller.session for caller in self._callers.values() if caller.session is not None]
+        links, others = self._links.values(), (*self._observers, *self._ungreeted, *dialling)
         for session in dict.fromkeys((*links, *others)):
             if session.connected:
                 session.judged(self._admission.verdict(session.link.who, linked=session in links))
@@ -355,9 +343,11 @@ class Peers:
         if old and old is not session:
             old.link.close()
         self.away.pop(hello.host, None)
-        self._tried.discard(hello.host)
+        if caller := self._callers.get(hello.host):
+            caller.has_failed = False
+        self.refusals.report(hello.host, "")
         self._owner.linked(hello)
-        self._heard_of(hello.host)
+        self.called(hello.host)
 
     def gone(self, session: Session) -> None:
         """A link is closed."""
@@ -384,6 +374,14 @@ class Peers:
             hello = session.hello
             assert hello is not None
             self._owner.received(hello.host if hello.role == "host" else "", message, session.link)
+
+    def bar(self, host: str) -> float:
+        """A host has sent too much: do not accept it for a while; for how many seconds."""
+        return self._bars.bar(host, self.now())
+
+    def note(self, text: str) -> None:
+        """A line for the log."""
+        self._owner.note(text)
 
     @property
     def on_arrival(self) -> Callable[[str, Transfer, memoryview], None]:

@@ -5,9 +5,10 @@ from __future__ import annotations
 import asyncio
 import math
 from contextlib import suppress
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, NoReturn, Protocol
 
-from lfield.errors import AddressError, GreetingError, LfieldError
+from lfield.errors import AddressError, GreetingError, LfieldError, OverBudget
+from lfield.net.waiting.bars import LONGEST_BAR
 from lfield.wire.coordinators import Transfer
 from lfield.wire.messages import Control, Hello, Message, Ping, Refuse
 
@@ -17,10 +18,12 @@ if TYPE_CHECKING:
     from lfield.authority.identity import Identity
     from lfield.authority.judge import Verdict
     from lfield.net.greeting import Greeting
+    from lfield.net.owner import Refusals
     from lfield.net.transport import Link
 
-#: Whoever has not greeted after so many seconds is no host.
-GREETED_WITHIN = 10.0
+#: Whoever calls and has not greeted after so many seconds is no host; whoever is called has less time, and is
+#: called again.
+GREETED_WITHIN, ANSWERED_WITHIN = 10.0, 5.0
 
 
 class Sessions(Protocol):
@@ -37,6 +40,10 @@ class Sessions(Protocol):
 
     def gone(self, session: Session) -> None:
         """A link is closed."""
+
+    @property
+    def refusals(self) -> Refusals:
+        """Where it is reported that a link was refused."""
 
     def heard(self, session: Session, message: Control) -> None:
         """A message came in on a greeted link."""
@@ -55,6 +62,15 @@ class Sessions(Protocol):
 
     def complain(self, text: str) -> None:
         """A line for the log, once."""
+
+    def note(self, text: str) -> None:
+        """A line for the log."""
+
+    def bar(self, host: str) -> float:
+        """A host has sent too much: do not accept it for a while; for how many seconds."""
+
+    def barred_for(self, host: str) -> float:
+        """For how many seconds a host is not accepted, since it has sent too much."""
 
 
 class Session:
@@ -84,7 +100,7 @@ class Session:
     def wait(self, link: Link) -> None:
         """Somebody calls: wait for the greeting, though not for ever. A stranger hears nothing before it."""
         self.link = link
-        self._patience = asyncio.get_running_loop().call_later(GREETED_WITHIN, self._give_up)
+        self._patience = asyncio.get_running_loop().call_later(self._bound, self._give_up)
         if link.who.kind != "stranger":
             self.begin(link)
 
@@ -109,7 +125,7 @@ class Session:
         self.link, self.connected = link, True
         self._greeting = self._peers.new_greeting(self.dialled, link.who)
         if self._patience is None:
-            self._patience = asyncio.get_running_loop().call_later(GREETED_WITHIN, self._give_up)
+            self._patience = asyncio.get_running_loop().call_later(self._bound, self._give_up)
         with suppress(AddressError):
             link.send(self._greeting.begin())
 
@@ -144,6 +160,8 @@ class Session:
         # On a link just made, the other's greeting may be read before whoever called gets its turn.
         self.greet(link)
         hello = self._greeting.receive(message)
+        if hello.role == "host" and self._peers.barred_for(hello.host):
+            self._refuse(f"{hello.host} sent too much: this host accepts it again within {LONGEST_BAR:g} s")
         if self.dialled is None and hello.role == "host" and self._peers.crossed(hello.host, self.made):
             link.close()
             return
@@ -153,6 +171,11 @@ class Session:
             link.send(Ping(0))
         else:
             self._taken(hello)
+
+    def _refuse(self, reason: str) -> NoReturn:
+        with suppress(AddressError):
+            self.link.send(Refuse(reason))
+        raise GreetingError(reason)
 
     def _taken(self, hello: Hello) -> None:
         """Something came after the greeting: the other has taken ours."""
@@ -171,13 +194,33 @@ class Session:
         self._taken(hello)
         return hello.host
 
+    def on_excess(self, link: Link, error: OverBudget) -> None:
+        """A host sends more than its messages may cost; where that is for too long, its link is closed.
+
+        It may not have greeted: handshakes can be what is too much.
+        """
+        self.link, who = link, link.who
+        if not error.closes:
+            self._peers.note(
+                f"{who} at {self.caller} sends too much: {error}; they are taken more slowly, and after "
+                f"{error.seconds:g} s the link is closed"
+            )
+            return
+        wait = self._peers.bar(who.name)
+        then = f"{who.name} is accepted again after {wait:g} s"
+        self._peers.note(f"{who} at {self.caller} sends too much: {error}; the link is closed, and {then}")
+        self.dismiss(f"{who.name} sends too much; {then}")
+        self._peers.gone(self)
+
     def on_closed(self, link: Link, error: LfieldError | None) -> None:
         """The end of the link."""
         self._relax()
         self.reason = self.reason or str(error or "")
+        if isinstance(error, GreetingError) and not self.linked:
+            self._report_refusal()
         # Whoever only looks goes as it likes, without a word.
         went = self.hello is not None and self.hello.role == "observer" and isinstance(error, AddressError)
-        if error and not self.dialled and not went:
+        if error and not self.dialled and not went and not isinstance(error, OverBudget):
             # Whose address it is stands before, without the port: each attempt has another.
             self._complain(error.reason if isinstance(error, AddressError) else str(error))
         self._peers.gone(self)
@@ -202,8 +245,12 @@ class Session:
         if self._patience:
             self._patience.cancel()
 
+    @property
+    def _bound(self) -> float:
+        return GREETED_WITHIN if self.dialled is None else ANSWERED_WITHIN
+
     def _give_up(self) -> None:
-        self.turn_away(f"it has not greeted within {GREETED_WITHIN:g} s")
+        self.turn_away(f"it has not greeted within {self._bound:g} s")
 
     def turn_away(self, reason: str) -> None:
         """Close the link at once."""
@@ -216,6 +263,14 @@ class Session:
         with suppress(AddressError):
             if self._greeting.refusal:
                 self.link.send(self._greeting.refusal)
+
+    def _report_refusal(self) -> None:
+        """The host at the other end is the one that was dialled, or that its certificate names."""
+        host = self.dialled or (self.link.who.name if self.link.who.kind == "host" else "")
+        if host and self.connected:
+            told = self._greeting.refusal
+            reason = told.reason if told else self.reason
+            self._peers.refusals.report(host, reason, self._greeting.refused_bundle)
 
     @property
     def caller(self) -> str:

@@ -7,7 +7,7 @@ import socket
 from typing import TYPE_CHECKING, cast
 
 from lfield.authority.identity import STRANGER, Identity
-from lfield.errors import AddressError, LfieldError, WireError
+from lfield.errors import AddressError, LfieldError, OverBudget, WireError
 from lfield.net.door import caller_at, host_at
 from lfield.net.framed import FramedLink
 from lfield.net.transport import join_address
@@ -29,8 +29,9 @@ CALLER = "a command on this computer"
 LAST_WORDS = 5.0
 #: So many bytes may wait at most for somebody who only looks: some of the longest answers.
 FOR_OBSERVERS = 4 << 20
-#: So many bytes of TLS at most are one message of those who wait: what is in them may be less than one.
-PIECE = 1 << 10
+#: So many bytes of TLS at most are taken at a time, of guests and of members: what is in them may be work
+#: without a message.
+PIECE, MEMBERS_PIECE = 1 << 10, 1 << 14
 #: Who is no host of the team, as TLS or the kernel says.
 GUESTS = ("person", "local")
 #: Who called and was gone before anybody looked: it has no address any more.
@@ -41,8 +42,9 @@ class StreamLink(FramedLink, asyncio.Protocol):
     """One connection in plain bytes, the end that `calls` or the other. `resident` says who is at an address
     of a network.
 
-    What comes of a host is taken as it comes, and so is what comes of whom this end has called. Whoever else
-    calls waits at the `reception` for each of its messages, and is read no further meanwhile.
+    What comes of a member is taken as its ration allows. Whoever else calls waits at the `reception` for each
+    message, and is read no further meanwhile. What comes before the greeting of whom this end has called, or
+    from a host that an observer has called at a Unix socket, is taken as it comes.
     """
 
     _transport: asyncio.Transport
@@ -63,10 +65,14 @@ class StreamLink(FramedLink, asyncio.Protocol):
         self._loop = asyncio.get_running_loop()
         self._waiting: list[Buffer] = []
         self._patience: asyncio.TimerHandle | None = None
-        #: Whether all that comes is taken at once, and whether the other has greeted as an observer.
+        #: Whether no message waits as one of a guest, and whether the other has greeted as an observer.
         self._straight, self._looks = calls, False
+        #: Which member has proven to be there, and whether it has greeted as one.
+        self._member, self._is_rationed = "", False
         #: What has come and was not taken yet, of whoever has to wait.
         self._left: Iterator[None] | None = None
+        #: Whether the member is not to be read for now, and whether nothing is read.
+        self._is_held = self._is_paused = False
 
     async def ready(self) -> None:
         """Return when messages can be sent. Raises GreetingError, WireError and AddressError."""
@@ -98,6 +104,9 @@ class StreamLink(FramedLink, asyncio.Protocol):
         super().greeted(role)
         self._looks = role == "observer"
         self._straight = not self._looks
+        self._is_rationed = self._straight and self.who.kind == "host"
+        if self._is_rationed:
+            self._join()
         if self._looks and self._max_pending > FOR_OBSERVERS:
             self._max_pending = FOR_OBSERVERS
             self._transport.set_write_buffer_limits(high=self._max_pending)
@@ -128,28 +137,52 @@ class StreamLink(FramedLink, asyncio.Protocol):
         self.handler = self._on_link(self)
 
     def data_received(self, data: bytes) -> None:
-        if self._straight:
-            self.received(data)
-        else:
-            self._meet(self.one_by_one(data))
+        self._meet(self.one_by_one(data))
+
+    def _join(self) -> None:
+        """It is proven which member is there."""
+        if not self._member:
+            self._member = str(self.who)
+            self._reception.members.join(self, self._member)
 
     def _meet(self, coming: Iterator[None]) -> None:
-        """Take what has come of a caller, until it turns out to be none of a host: then it waits."""
+        """Take what has come, until it turns out to be of a member or a guest: then it waits for its turn."""
+        if self._is_rationed:
+            self._queue(coming)
+            return
         for _ in coming:
-            if self._is_guest:
-                self._left = coming
-                self._reception.enter(self, str(self.who))
-                self._wait()
+            if self._is_rationed or self._is_guest:
+                self._queue(coming)
                 return
+
+    def _queue(self, coming: Iterator[None]) -> None:
+        self._left = coming
+        if self._is_rationed:
+            self._reception.members.enter(self, self._member)
+        else:
+            self._reception.enter(self, str(self.who))
+        self._read_on()
 
     @property
     def _is_guest(self) -> bool:
         """Whether this is no host, as far as it is known. A host that comes back waits behind nobody."""
         return self._looks or (not self._straight and self.who.kind in GUESTS)
 
-    def _wait(self) -> None:
-        if self._left is not None and not self._transport.is_closing():
+    def hold(self, *, on: bool) -> None:
+        """See `MemberLink.hold`."""
+        self._is_held = on
+        self._read_on()
+
+    def _read_on(self) -> None:
+        """Read while nothing waits and nobody holds this link; TCP tells the peer otherwise."""
+        waits = self._is_held or self._left is not None
+        if waits == self._is_paused or self._transport.is_closing():
+            return
+        self._is_paused = waits
+        if waits:
             self._transport.pause_reading()
+        else:
+            self._transport.resume_reading()
 
     def take_one(self) -> bool:
         """See `Waiting.take_one`: whoever has nothing left is read on."""
@@ -157,9 +190,15 @@ class StreamLink(FramedLink, asyncio.Protocol):
         for _ in self._left:
             return True
         self._left = None
-        if not self._transport.is_closing():
-            self._transport.resume_reading()
+        self._read_on()
         return False
+
+    def on_excess(self, error: OverBudget) -> None:
+        """See `MemberLink.on_excess`."""
+        self.handler.on_excess(self, error)
+        if error.closes:
+            self._error = self._error or error
+            self.close()
 
     def pause_writing(self) -> None:
         """Asyncio's word for: more bytes wait than `max_pending`."""
@@ -171,6 +210,7 @@ class StreamLink(FramedLink, asyncio.Protocol):
         if self._patience is not None:
             self._patience.cancel()
         self._reception.leave(self)
+        self._reception.members.leave(self, self._member)
         self._left = None
         self.finished(AddressError(self.peer, f"the connection was lost: {exc}") if exc else None)
 
@@ -192,6 +232,8 @@ class TlsLink(StreamLink):
         self._tls = tls
         self._channel: Channel | None = None
         self._proven: asyncio.Future[None] = self._loop.create_future()
+        #: Seconds of a processor that its handshake has taken.
+        self._spent = 0.0
 
     async def ready(self) -> None:
         await self._proven
@@ -203,37 +245,33 @@ class TlsLink(StreamLink):
             self._transport.write(self._channel.take())
 
     def data_received(self, data: bytes) -> None:
-        channel = self._channel = self._channel or self._tls.channel(calls=False)
-        if not self._straight:
+        channel = self._channel = self._channel or self._tls.channel(calls=self._calls)
+        if channel.proven:
             self._meet(self._opened(channel, data))
             return
-        try:
-            for plain in channel.feed(data):
-                self.who = channel.who
-                self.received(plain)
-                if self.closed:
-                    return
-        except LfieldError as error:
-            self._broken(channel, error)
-            return
-        self._say(channel)
-        if channel.proven and not self._proven.done():
-            self.who = channel.who
-            self._proven.set_result(None)
+        began = self._reception.busy()
+        self._meet(self._opened(channel, data))
+        self._spent += self._reception.busy() - began
+        if channel.proven and channel.who.kind == "host" and not self._calls:
+            self._join()
+            self._reception.members.on_handshake(self, self._member, self._spent)
 
     def _opened(self, channel: Channel, data: bytes) -> Iterator[None]:
-        """The same a little at a time: a record may have a thousand messages, or nothing but work."""
+        """A little at a time: a record may have a thousand messages, or nothing but work."""
         view = memoryview(data)
+        size = MEMBERS_PIECE if self._straight else PIECE
         try:
-            for start in range(0, len(view), PIECE):
-                for plain in channel.feed(view[start : start + PIECE]):
+            for start in range(0, len(view), size):
+                for plain in channel.feed(view[start : start + size]):
                     self.who = channel.who
                     yield from self.one_by_one(plain)
                     if self.closed:
                         return
                 self._say(channel)
                 self.who = channel.who
-                if start + PIECE < len(view):
+                if channel.proven and not self._proven.done():
+                    self._proven.set_result(None)
+                if start + size < len(view):
                     yield
         except LfieldError as error:
             self._broken(channel, error)
@@ -269,7 +307,16 @@ def nobody_known(address: str) -> Identity:
 
 
 def socket_address(name: str | tuple[str, int] | tuple[str, int, int, int]) -> str:
-    """The address of a socket, as transports have them."""
+    """The address of a socket, as transports have them: IPv6 in brackets, with its zone if it has one."""
     if isinstance(name, str):
         return f"{UNIX}{name}" if name else CALLER
-    return join_address(name[0], name[1])
+    host, port, zone = name[0], name[1], name[3] if len(name) == 4 else 0
+    if host.startswith("::ffff:") and "." in host:
+        # Of a socket for both families.
+        host = host.removeprefix("::ffff:")
+    if zone and "%" not in host:
+        try:
+            host = f"{host}%{socket.if_indextoname(zone)}"
+        except OSError:
+            host = f"{host}%{zone}"
+    return join_address(host, port)

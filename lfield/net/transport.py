@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from lfield.authority.identity import Identity
-    from lfield.errors import LfieldError
+    from lfield.errors import LfieldError, OverBudget
     from lfield.wire.coordinators import Transfer
     from lfield.wire.framing import Buffer
     from lfield.wire.messages import Message, Role
@@ -41,6 +41,10 @@ class LinkHandler(Protocol):
 
     def on_oversize(self, link: Link, header: Transfer, size: int) -> None:
         """A coordinator with a block over the limit came by; its `size` bytes were thrown away."""
+
+    def on_excess(self, link: Link, error: OverBudget) -> None:
+        """The member at the other end is over its budget of processing time: its messages are taken more
+        slowly. Where `error.closes`, the link is closed, and `on_closed` follows when it is gone."""
 
     def on_closed(self, link: Link, error: LfieldError | None) -> None:
         """The link is gone; called once, last. `error` is None after a plain close by either side."""
@@ -126,6 +130,15 @@ def split_address(address: str) -> tuple[str, int]:
 def join_address(host: str, port: int) -> str:
     """The inverse of `split_address`."""
     return f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
+
+
+def is_lasting(host: str) -> bool:
+    """Whether a host is written as an address that stays what it is; a zone is the name of an interface,
+    which may go and come back with another number."""
+    try:
+        return getattr(ip_address(host), "scope_id", None) is None
+    except ValueError:
+        return False
 
 
 def is_number(address: str) -> bool:

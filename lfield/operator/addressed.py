@@ -168,13 +168,33 @@ def believed_of(parties: Sequence[Party]) -> list[Party]:
 def only_party(parties: Sequence[Party]) -> Party:
     """The one that is to be looked at; those of other users count where there is no other.
 
-    Raises UsageError when there are several.
+    Runs of one mission that run different hosts are one team, also where they name each other's hosts by
+    different addresses (localhost and 127.0.0.1, say). Raises UsageError when there are several teams.
     """
     found = believed_of(parties)
+    if len(found) > 1 and _is_one_team(found):
+        return _joined(found)
     if len(found) > 1:
         runs = listed([party.id for party in found])
         raise UsageError(f"the mission runs here {len(found)} times, as {runs}: pick one with --run")
     return found[0]
+
+
+def _is_one_team(parties: Sequence[Party]) -> bool:
+    """Whether all these runs are of one mission and none of its hosts runs here twice."""
+    hosts = [host for party in parties for run in party.runs for host in run.note.doors]
+    return len({party.mission for party in parties}) == 1 and len(set(hosts)) == len(hosts)
+
+
+def _joined(parties: Sequence[Party]) -> Party:
+    """Several runs of a team as one, each host at the socket of the run that runs it here."""
+    addresses: dict[str, str] = {}
+    for party in reversed(parties):
+        addresses |= party.addresses
+    for party in parties:
+        own = {host for run in party.runs for host in run.note.doors}
+        addresses |= {host: address for host, address in party.addresses.items() if host in own}
+    return Party(tuple(run for party in parties for run in party.runs), addresses)
 
 
 def names_of(parties: Sequence[Party]) -> dict[Place, str]:

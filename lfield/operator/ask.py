@@ -12,14 +12,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Generic, NamedTuple, TypeVar
 
 from lfield.authority import folder
-from lfield.errors import AddressError, GreetingError, KeysError, LfieldError, NobodyListens, WireError
+from lfield.errors import AddressError, GreetingError, KeysError, LfieldError, NobodyListens
 from lfield.net.greeting import Greeting
 from lfield.net.stream import UNIX
 from lfield.net.tcp import TcpTransport
 from lfield.net.transport import Link, Transport, is_number
 from lfield.operator.addressed import Party, Place
+from lfield.operator.observing import ObserverLink
 from lfield.text.visible import in_one_line
-from lfield.wire.coordinators import Transfer
 from lfield.wire.fields import clip
 from lfield.wire.messages import Hello, Message, Refuse, Revocations
 from lfield.wire.observing import (
@@ -30,6 +30,7 @@ from lfield.wire.observing import (
     Pause,
     Recover,
     Recovered,
+    StartResponse,
     Status,
     StatusRequest,
 )
@@ -37,7 +38,7 @@ from lfield.wire.observing import (
 if TYPE_CHECKING:
     from lfield.authority.keys import Keys
 
-T = TypeVar("T", bound=Status | EmergencyStopped | Forgotten | Recovered)
+T = TypeVar("T", bound=Status | EmergencyStopped | Forgotten | Recovered | StartResponse)
 K = TypeVar("K", bound=Hashable)
 
 #: For each host by its name what it answered, or the error that stood in the way.
@@ -45,7 +46,6 @@ Answers = Mapping[str, T | LfieldError]
 
 #: Seconds before something is asked again.
 AGAIN_AFTER = 0.1
-
 #: So many hosts are asked at a time, and so many that are in runs of other users: a process may have 1024
 #: descriptors. Of one such run so many hosts that did not answer get a line each.
 AT_ONCE, BESIDE, MOST_LINES = 512, 128, 8
@@ -58,11 +58,10 @@ _MAX_BLOCK = 1 << 20
 class Request(Generic[T]):
     """What can be asked: the message, what answers it, and the seconds that a host has for that.
 
-    What is to be asked `again` is until then, where a link ends before it has brought an answer: a host in a
-    flood of callers turns away by lot. Whatever comes twice must be the same as once.
+    What may come twice is asked `again` until then, where a link (in a flood, say) ends without an answer.
     """
 
-    message: StatusRequest | EmergencyStop | Forget | Pause | Recover
+    message: Message
     answer: type[T]
     bound: float
     again: bool = False
@@ -349,7 +348,7 @@ async def ask(
             link.close()
 
 
-class _Asking(Generic[T]):
+class _Asking(ObserverLink, Generic[T]):
     """The handler of one link: greets, asks, keeps the answer."""
 
     def __init__(self, request: Request[T], host: str | None, brings: Brought | None) -> None:
@@ -386,12 +385,6 @@ class _Asking(Generic[T]):
             raise GreetingError(f"{greeting.peer.host} refused: {message.reason}")
         elif isinstance(message, self._request.answer) and not self.answer.done():
             self.answer.set_result(message)
-
-    def on_transfer(self, link: Link, header: Transfer, block: memoryview) -> None:
-        raise WireError("a coordinator was sent to an observer")
-
-    def on_oversize(self, link: Link, header: Transfer, size: int) -> None:
-        raise WireError("a coordinator was sent to an observer")
 
     def on_closed(self, link: Link, error: LfieldError | None) -> None:
         if not self.answer.done():

@@ -6,11 +6,13 @@ rest. Until then it is looked for: `over` says when that has come to an end, wel
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 
 from lfield.errors import LfieldError, NobodyListens
 from lfield.operator.addressed import Place
+from lfield.text.values import telemetry_in_words
 from lfield.wire.fields import Telemetry
 from lfield.wire.observing import DeviceStatus, EmergencyStopped, Status
 
@@ -19,6 +21,9 @@ TOLD_EVERY = 1.0
 #: What was last heard of a device longer ago (seconds) says nothing of it now.
 SILENT = 3.0
 
+#: Telemetry is newer than what was seen of a device before when it is by more than this (seconds).
+LATER = 0.5
+
 AT_REST = "at rest"
 
 
@@ -26,7 +31,8 @@ AT_REST = "at rest"
 class Device:
     """A device on its way down: `problem` is why its safe state was not confirmed, `words` what it does now.
 
-    `last` is what it was last seen doing, `told` the words of the last line about it and when that was.
+    `last` is what it was last seen doing, or its telemetry where that is from before the stop, and `heard_at`
+    when that was measured. `told` is the text of the last line about it and when that was printed.
     """
 
     place: Place
@@ -34,20 +40,24 @@ class Device:
     problem: str
     words: str = ""
     last: str = ""
+    heard_at: float = -math.inf
     rested: bool = False
     gone: bool = False
     telemetry: dict[str, Telemetry] | None = None
     told: tuple[str, float] | None = None
 
-    def look(self, found: DeviceStatus, since: float) -> None:
-        """Its host has told how it is. What was heard before the stop, `since` seconds ago, is no news."""
+    def look(self, found: DeviceStatus, since: float, now: float) -> None:
+        """Its host has reported its state. Telemetry from before the stop, `since` s ago, proves nothing."""
         self.telemetry = found.telemetry
         if found.silent is not None and found.silent >= min(since, SILENT):
+            if now - found.silent > self.heard_at + LATER:
+                self.last, self.heard_at = telemetry_in_words(found.telemetry), now - found.silent
             if found.silent >= SILENT:
                 self.words = "not heard any more"
             return
         self.rested = bool(found.latched) and not found.moving
         self.words = self.last = _doing(found)
+        self.heard_at = now - (found.silent or 0.0)
 
     def host_silent(self, error: LfieldError) -> None:
         """Its host did not tell; when it has ended, that it will not."""
@@ -55,8 +65,8 @@ class Device:
         if not self.rested:
             self.words = "its host has ended" if self.gone else f"its host does not answer: {error}"
 
-    def verdict(self, seconds: float) -> str:
-        """What is wrong with it after so many seconds, '' when all is well."""
+    def verdict(self, seconds: float, now: float) -> str:
+        """What is wrong with it `seconds` after the stop, '' when all is well."""
         if self.rested:
             # However late: it has been seen.
             return ""
@@ -68,7 +78,9 @@ class Device:
             wrong = f"NOT AT REST after {seconds:.0f} s"
             if self.words != self.last:
                 wrong += f": {self.words}"
-        return f"{wrong}; last seen: {self.last or 'never'}"
+        if self.heard_at == -math.inf:
+            return f"{wrong}; last seen: never"
+        return f"{wrong}; last seen {now - self.heard_at:.0f} s ago: {self.last or 'without telemetry'}"
 
 
 def _doing(found: DeviceStatus) -> str:
@@ -113,7 +125,7 @@ class Descent:
             return
         for found in answer.devices:
             if found.name in own:
-                own[found.name].look(found, self._now - self._began)
+                own[found.name].look(found, self._now - self._began, self._now)
 
     def at(self, now: float) -> None:
         """What follows was asked at this time."""
@@ -128,7 +140,8 @@ class Descent:
 
     def verdicts(self) -> list[tuple[Device, str]]:
         """The devices that are not well, each with what is wrong and what it was last seen doing."""
-        found = [(device, device.verdict(self._now - self._began)) for device in self.devices]
+        seconds = self._now - self._began
+        found = [(device, device.verdict(seconds, self._now)) for device in self.devices]
         return [(device, wrong) for device, wrong in found if wrong]
 
 

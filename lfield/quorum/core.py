@@ -11,10 +11,12 @@ from __future__ import annotations
 import random
 from collections.abc import Collection, Mapping
 
-from lfield.quorum.effects import Bar, Copies, Effect, Tell
+from lfield.quorum.effects import Bar, Copies, Effect, Tell, Terminate
 from lfield.quorum.lease import Lease
 from lfield.quorum.members import Fences, Members
 from lfield.quorum.recovery import Recoveries
+from lfield.quorum.terminations import Terminations
+from lfield.wire.coordinators import TERMINAL, Ended
 from lfield.wire.fields import age
 from lfield.wire.quorum import (
     MOST,
@@ -53,7 +55,10 @@ class Quorum:
         self.members, self._agents, self._life, self._copies = members, frozenset(agents), life, copies
         self.fences = Fences({agent: fence for agent, fence in fences.items() if agent in self._agents})
         self.lease = Lease(members)
-        self._recoveries = Recoveries(members, sorted(hosts), sorted(agents), copies, self.fences, dice)
+        self.terminations = Terminations(members, self._agents, copies, self.fences)
+        self._recoveries = Recoveries(
+            members, sorted(hosts), sorted(agents), copies, self.fences, dice, self.terminations
+        )
         #: Who was last heard to hold each agent, or was promised it: the host, the generation, and when.
         self._holders: dict[str, tuple[str, int, float]] = {}
         self._next: float | None = None
@@ -106,7 +111,7 @@ class Quorum:
         if self._next is None:
             return []
         self._notice(now)
-        effects = self._beat(now) if now >= self._next else []
+        effects = [*self.terminations.tick(now), *self._beat(now)] if now >= self._next else []
         return effects + self._recoveries.tick(now)
 
     def hurry(self, now: float) -> None:
@@ -132,7 +137,7 @@ class Quorum:
             return []
         # Who holds no lease cannot act, however well it is heard: others may have to go on.
         told = held if self.lease.holds(now) else []
-        beat = Heartbeat(self._life, self.lease.beat(now), self.fences.digest, told)
+        beat = Heartbeat(self._life, self.lease.beat(now), self.terminations.digest, told)
         return [Tell(host, beat) for host in self.members.others]
 
     @property
@@ -145,10 +150,14 @@ class Quorum:
         return held[:MOST]
 
     def _alive(self, agent: str) -> Place | None:
-        """How far an agent has come that is here and not barred."""
+        """How far an agent has come that is here and not barred.
+
+        One that has terminated here counts until that is final: nobody may recover it meanwhile.
+        """
         saved = self._copies.saved(agent)
-        alive = saved is not None and saved.alive and not self.barred(agent, saved.place.generation)
-        return saved.place if saved is not None and alive else None
+        if saved is None or self.barred(agent, saved.place.generation):
+            return None
+        return saved.place if saved.alive or not saved.final else None
 
     # --- what coordinators may do ---------------------------------------------------------------------
 
@@ -169,25 +178,27 @@ class Quorum:
             case Heartbeat():
                 return self._on_heartbeat(host, message, now)
             case Ack():
-                return self._on_ack(host, message)
+                return self._on_ack(host, message, now)
             case Seek():
                 return [Tell(host, self._sought(message.agent, now))]
             case Sought():
-                return self._recoveries.sought(host, message, now)
+                ends = self._on_termination(host, message.agent, message.ended, now)
+                return [*ends, *self._recoveries.sought(host, message, now)]
             case Propose():
                 return self._on_propose(host, message, now)
             case Promise():
-                risen = self._rise(message.agent, message.fence, f"{host} has promised it")
-                return [*risen, *self._recoveries.promised(host, message, now)]
+                return self._on_promise(host, message, now)
 
     def _on_heartbeat(self, host: str, message: Heartbeat, now: float) -> list[Effect]:
         for held in message.held:
             self._heard(host, held.agent, held.generation, now)
-        fences = [] if message.fences == self.fences.digest else self.fences.all
+        known = message.fences == self.terminations.digest
+        fences, ended = ([], []) if known else (self.fences.all, self.terminations.all)
         # Number 0 is of no heartbeat: it tells the fences, and gives no lease.
         number = message.number if self.remembers else 0
         # A part of them would be no better than none: no lease is given then.
-        return [Tell(host, Ack(message.life, number, fences))] if len(fences) <= MOST else []
+        whole = len(fences) <= MOST and len(ended) <= MOST
+        return [Tell(host, Ack(message.life, number, fences, ended))] if whole else []
 
     def _heard(self, host: str, agent: str, generation: int, now: float) -> None:
         """A host holds an agent, or is about to."""
@@ -195,11 +206,13 @@ class Quorum:
             self._holders[agent] = host, generation, now
             self._recoveries.heard(agent, generation, now)
 
-    def _on_ack(self, host: str, message: Ack) -> list[Effect]:
+    def _on_ack(self, host: str, message: Ack, now: float) -> list[Effect]:
         """The lease counts it only with the fences that came along."""
         if message.life != self._life:
             return []
         effects: list[Effect] = []
+        for ended in message.ended:
+            effects += self._on_termination(host, ended.agent, ended, now)
         for fence in message.fences:
             effects += self._rise(fence.agent, fence.generation, f"{host} told of it")
         self._unheard.discard(host)
@@ -214,11 +227,51 @@ class Quorum:
         if self._alive(agent) and self.lease.holds(now):
             # It asked before the coordinator came here.
             return [Tell(host, self._sought(agent, now))]
+        if ended := self.terminations.covers(agent, message.start):
+            return [Tell(host, self.terminations.refusal(ended, generation))]
         risen = self._rise(agent, generation, f"{host} is about to go on with it")
+        if generation == self.fences.of(agent):
+            self.terminations.promise(agent, generation, host, now)
         self._heard(host, agent, generation, now)
         saved = self._copies.saved(agent)
-        place = saved.place if saved is not None else None
+        place = saved.place if saved is not None and saved.ended is None else None
         return [*risen, Tell(host, Promise(agent, generation, self.fences.of(agent), place))]
+
+    def _on_promise(self, host: str, message: Promise, now: float) -> list[Effect]:
+        risen = self._rise(message.agent, message.fence, f"{host} has promised it")
+        ends = self._on_termination(host, message.agent, message.ended, now)
+        if message.ended is not None:
+            # It waits with what it has promised here until it knows that nothing begins by it.
+            known = self.terminations.covers(message.agent, message.ended.generation)
+            ended = known or message.ended
+            claimed = self._recoveries.claimed(message.agent)
+            answer = [] if claimed else [Tell(host, Sought(message.agent, None, ended=ended))]
+            return [*risen, *ends, *answer]
+        return [*risen, *self._recoveries.promised(host, message, now)]
+
+    def _on_termination(self, host: str, agent: str, ended: Ended | None, now: float) -> list[Effect]:
+        """A host knows that a coordinator has terminated."""
+        if ended is None or ended.agent != agent or agent not in self._agents:
+            return []
+        if ended.outcome not in TERMINAL:
+            return []
+        effects = self.terminations.conceded(host, ended)
+        if self.terminations.covers(agent, ended.generation):
+            return effects
+        effects += self._recoveries.terminated(ended, now)
+        if self._is_member and self.terminations.is_delayed(ended, now):
+            return [*effects, *self.terminations.tick(now)]
+        saved = self._copies.saved(agent)
+        if saved is None or saved.place.generation <= ended.generation:
+            effects.append(Terminate(ended))
+        return effects
+
+    def is_delayed(self, ended: Ended, now: float) -> bool:
+        """Whether a termination elsewhere must not come to the disk yet, nor be confirmed."""
+        if not self._is_member or not self.terminations.is_delayed(ended, now):
+            return False
+        self._next = None if self._next is None else min(self._next, now)
+        return True
 
     def _rise(self, agent: str, generation: int, reason: str) -> list[Effect]:
         if agent not in self._agents or not self.fences.raise_to(agent, generation):
@@ -229,11 +282,11 @@ class Quorum:
         """What this host knows of an agent."""
         if agent not in self._agents:
             return Sought(agent, None)
-        saved = self._copies.saved(agent)
-        place = saved.place if saved is not None else None
+        saved, ended = self._copies.saved(agent), self.terminations.of(agent)
+        place = saved.place if saved is not None and saved.ended is None else None
         if alive := self._alive(agent):
-            return Sought(agent, place, self.members.here, alive.generation)
+            return Sought(agent, place, self.members.here, alive.generation, ended=ended)
         if claimed := self._recoveries.claimed(agent):
-            return Sought(agent, place, self.members.here, claimed)
+            return Sought(agent, place, self.members.here, claimed, ended=ended)
         host, generation, heard = self._holders.get(agent, ("", 0, now))
-        return Sought(agent, place, host, generation, age(now - heard))
+        return Sought(agent, place, host, generation, age(now - heard), ended)

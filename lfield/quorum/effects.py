@@ -6,6 +6,7 @@ from typing import NamedTuple, Protocol
 
 from msgspec import Struct
 
+from lfield.wire.coordinators import Ended
 from lfield.wire.quorum import Place, QuorumMessage
 
 
@@ -13,19 +14,24 @@ class Saved(NamedTuple):
     """The newest block that a host has of a coordinator, or the coordinator itself.
 
     `alive`: it goes on here as soon as the lease lets it, unless a fence bars it. `interval` is for how many
-    seconds nobody may be heard to hold it before somebody else goes on with it; 0 for ever.
+    seconds nobody may be heard to hold it before somebody else goes on with it; 0 for ever. `ended` is set
+    when the newest start that is known here has terminated; then there is nothing to go on with. `final`:
+    this host need not keep that coordinator from being recovered. Not so of one that terminated here, until a
+    majority of the members has confirmed that they have it on disk.
     """
 
     place: Place
     alive: bool
     interval: float
+    ended: Ended | None = None
+    final: bool = True
 
 
 class Copies(Protocol):
     """The coordinators of this host, as they are now."""
 
     def saved(self, agent: str) -> Saved | None:
-        """The newest that is here of an agent that has not ended as far as is known; None for nothing."""
+        """The newest that is here of an agent, or its termination; None when nothing is known of it."""
 
     def mint(self, agent: str, above: int) -> int:
         """A generation greater than `above` and all that are known here, and of no other host's minting."""
@@ -54,10 +60,16 @@ class TakeOver(Struct, frozen=True):
     reason: str
 
 
+class Terminate(Struct, frozen=True):
+    """A coordinator has terminated, says another host: have that on disk, and keep nothing to go on from."""
+
+    ended: Ended
+
+
 class Explain(Struct, frozen=True):
     """A line for the log."""
 
     text: str
 
 
-Effect = Tell | Bar | TakeOver | Explain
+Effect = Tell | Bar | TakeOver | Terminate | Explain

@@ -17,6 +17,8 @@ from typing import Literal
 
 from lfield.quorum.effects import Bar, Copies, Effect, Explain, Saved, TakeOver, Tell
 from lfield.quorum.members import Fences, Members
+from lfield.quorum.terminations import VALID, Terminations
+from lfield.wire.coordinators import Ended
 from lfield.wire.quorum import Place, Promise, Propose, Seek, Sought
 
 #: An attempt that finds no majority of promises is given up after so many leases, and made again later.
@@ -27,7 +29,8 @@ PATIENCE = 2.0
 class Attempt:
     """One try to go on with an agent from `place`; it has something to do at `due`, and ends at `until`.
 
-    Hosts that have not answered by `enough` are not waited for.
+    Hosts that have not answered by `enough` are not waited for. The new start begins before `valid` or not at
+    all: until then members that have promised it write no termination of an earlier start down.
     """
 
     place: Place
@@ -36,6 +39,7 @@ class Attempt:
     enough: float
     until: float
     generation: int = 0
+    valid: float = 0.0
     answered: set[str] = field(default_factory=set)
     promised: set[str] = field(default_factory=set)
 
@@ -51,7 +55,9 @@ class Recoveries:
         copies: Copies,
         fences: Fences,
         dice: random.Random,
+        terminations: Terminations,
     ) -> None:
+        self._terminations = terminations
         self._members, self._hosts, self._copies, self._fences = members, hosts, copies, fences
         self._agents, self._dice = agents, dice
         self._attempts: dict[str, Attempt] = {}
@@ -118,7 +124,12 @@ class Recoveries:
 
     def _look(self, agent: str, now: float) -> list[Effect]:
         saved = self._copies.saved(agent)
-        if saved is None or not saved.interval or self._is_alive(agent, saved):
+        if (
+            saved is None
+            or not saved.interval
+            or self._is_alive(agent, saved)
+            or self._terminations.covers(agent, saved.place.generation)
+        ):
             self._calm(agent, now)
             return []
         at = self._suspected[agent] = self._suspect_at(agent, saved, now)
@@ -189,6 +200,13 @@ class Recoveries:
         attempt.answered.add(host)
         return self._look(answer.agent, now)
 
+    def terminated(self, ended: Ended, now: float) -> list[Effect]:
+        """A host knows that the coordinator has terminated: no block from before that goes on."""
+        attempt = self._attempts.get(ended.agent)
+        if attempt is None or ended.generation < attempt.place.generation:
+            return []
+        return self._yield(ended.agent, now)
+
     def promised(self, host: str, answer: Promise, now: float) -> list[Effect]:
         """A member has promised, or tells of a later fence."""
         agent = answer.agent
@@ -207,6 +225,7 @@ class Recoveries:
 
     def _propose(self, agent: str, attempt: Attempt, now: float) -> list[Effect]:
         attempt.phase, attempt.until = "proposing", now + PATIENCE * self._members.lease
+        attempt.valid = now + VALID * self._members.lease
         attempt.generation = self._copies.mint(agent, self._fences.of(agent))
         self._fences.raise_to(agent, attempt.generation)
         reason = f"{self._members.here} is about to go on with it"
@@ -221,11 +240,12 @@ class Recoveries:
     def _repeat(self, agent: str, attempt: Attempt, now: float) -> list[Effect]:
         attempt.due = now + self._members.beat
         silent = (host for host in self._members.others if host not in attempt.promised)
-        return [Tell(host, Propose(agent, attempt.generation)) for host in silent]
+        start = attempt.place.generation
+        return [Tell(host, Propose(agent, attempt.generation, start)) for host in silent]
 
     def _take_over(self, agent: str, attempt: Attempt, now: float) -> list[Effect]:
         self._yield(agent, now)
-        if self._fences.of(agent) != attempt.generation:
+        if self._fences.of(agent) != attempt.generation or now >= attempt.valid:
             return []
         told = f"no other host has gone on with {agent}, and {len(attempt.promised)} of the "
         told += f"{len(self._members.names)} members have barred every earlier start of it"

@@ -19,7 +19,8 @@ from lfield.errors import LfieldError, ProgramError
 from lfield.mission.load import load_mission
 from lfield.simulate.fleet import Fleet
 from lfield.simulate.seeds import run
-from lfield.simulate.stories.story import KINDS, Story, drawn
+from lfield.simulate.stories.drawing import KINDS, drawn
+from lfield.simulate.stories.story import Story
 from lfield.simulate.stories.trial import tell
 from lfield.simulate.weather import Weather
 

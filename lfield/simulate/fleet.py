@@ -28,7 +28,7 @@ from lfield.journal.pages import Page
 from lfield.mission.mission import Mission
 from lfield.net.tcp import TcpTransport
 from lfield.simulate.computers.computer import Computer, Process
-from lfield.simulate.computers.loop import generators
+from lfield.simulate.computers.loop import generators, release
 from lfield.simulate.computers.machines import Machine
 from lfield.simulate.computers.network import Network
 from lfield.simulate.computers.timeline import Timeline
@@ -70,7 +70,8 @@ class Fleet:
     `watch` is called after every event, and raises AssertionError for what must never be; `born` with every
     life of a host before anything happens in it. With `lost_after` hosts end when all coordinators have, as
     with --until-done. They keep journals, unless told not to. `plug` says what
-    hardware there is, and gives the mission with its endpoints. Times are in seconds.
+    hardware there is, and gives the mission with its endpoints. Code takes `slowness` times the processor
+    time that it usually takes. Times are in seconds.
     """
 
     def __init__(
@@ -83,8 +84,10 @@ class Fleet:
         keeps: bool = True,
         born: Born = lambda name, life: None,
         plug: Plug | None = None,
+        slowness: float = 1.0,
     ) -> None:
         self._watch, self._born, self.keeps = watch, born, keeps
+        self._slowness = slowness
         self._unreachable_after, self._lost_after = unreachable_after, lost_after
         dice = random.Random(seed)
         self.timeline = Timeline()
@@ -112,6 +115,8 @@ class Fleet:
         self.replaced: set[str] = set()
         #: Those that never come back.
         self.gone: set[str] = set()
+        #: Computers that are no hosts of the mission, such as an operator's.
+        self.stations: list[Computer] = []
         for name in names:
             self.boot(name)
 
@@ -181,9 +186,13 @@ class Fleet:
         return [page for name, disk in self.disks.items() if name not in self.gone for page in disk.pages()]
 
     def close(self) -> None:
-        """End all that runs, at once: nothing is left of it."""
+        """End all that runs, at once, and free its memory."""
         for name in self.computers:
             self.power_off(name)
+        for station in self.stations:
+            station.power_off()
+        for computer in [*self.computers.values(), *self.stations]:
+            release(computer.machine)
 
     def lose_disk(self, name: str) -> None:
         """Its disk is replaced by an empty one."""
@@ -209,10 +218,12 @@ class Fleet:
         )
         if not self.keeps:
             self._known.add(name)
-        transport = TcpTransport(self.mission.max_block, resident=resident)
+        transport = TcpTransport(self.mission.max_block, resident=resident, busy=float)
         host = Host(self.mission, name, transport, Logbook(book, book), options)
         life = self.lives[name] = Life(process, host, StopWords(host.clock))
-        host.machine.attached.meter = lambda n: process.loop.compute(TURN + n * INSTRUCTION)
+        host.machine.attached.meter = lambda n: process.loop.compute(
+            self._slowness * (TURN + n * INSTRUCTION)
+        )
         self._born(name, life)
         # A moment later: whoever makes a team of hosts has it before any of them does anything.
         process.loop.soon(lambda: process.loop.create_task(self._live(name, life)))
@@ -244,6 +255,13 @@ class Fleet:
             if status == only or (only is None and status != exits.DONE):
                 del self.left[name]
                 self.boot(name)
+
+    def station(self, name: str, dice: random.Random) -> Process:
+        """A process on a computer that is no host, with a network address of its own."""
+        machine = Machine(name, self.timeline, dice)
+        self.network.join(machine)
+        self.stations.append(Computer(machine, self.network, {}))
+        return self.stations[-1].start()
 
     # --- links ----------------------------------------------------------------------------------------
 

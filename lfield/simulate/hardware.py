@@ -46,6 +46,8 @@ class Told(NamedTuple):
     owner: int
     what: str
     arguments: tuple[object, ...] = ()
+    #: Whether it is the way into a safe state, and no command of a program.
+    safe: bool = False
 
 
 class Hardware:
@@ -65,10 +67,12 @@ class Hardware:
             self._until = float("-inf")
         self._watchdog, self._fed = watchdog or self._watchdog, self._timeline.now
 
-    def tell(self, owner: int, what: str, arguments: tuple[object, ...], seconds: float) -> None:
-        """It is told something, for which it moves so long."""
+    def tell(
+        self, owner: int, what: str, arguments: tuple[object, ...], seconds: float, *, safe: bool = False
+    ) -> None:
+        """Carry out a command, for which it moves so long; `safe`: it is the way into a safe state."""
         self.feed()
-        self.record.append(Told(self._timeline.now, owner, what, arguments))
+        self.record.append(Told(self._timeline.now, owner, what, arguments, safe))
         self._until = self._timeline.now + seconds
 
     @property
@@ -167,7 +171,7 @@ class AnyDevice(Device):
         return longest
 
     async def _make_safe(self, state: str) -> None:
-        self._hardware.tell(self._driver.owner, state, (), self._hardware.dice.uniform(*STOP))
+        self._hardware.tell(self._driver.owner, state, (), self._hardware.dice.uniform(*STOP), safe=True)
         await self._takes(ANSWER)
 
     def _moving(self) -> str:

@@ -17,8 +17,9 @@ from dataclasses import dataclass, field
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
+from lfield.simulate.stories.drawing import drawn
 from lfield.simulate.stories.shrink import command, smallest
-from lfield.simulate.stories.story import Story, drawn
+from lfield.simulate.stories.story import Story
 from lfield.simulate.stories.trial import Verdict, tell
 
 #: Seeds that a process is given at a time, and after how many it makes room for a new one.

@@ -14,6 +14,8 @@ from functools import partial
 from lfield.simulate.computers.computer import Process
 from lfield.simulate.computers.machines import Way
 from lfield.simulate.fleet import Fleet
+from lfield.simulate.operator import Hold, Judges, Operator
+from lfield.wire.observing import EmergencyStopped
 
 #: How long a fault lasts at least and at most, in seconds, where nothing else is said.
 LASTS = (0.05, 8.0)
@@ -21,11 +23,19 @@ LASTS = (0.05, 8.0)
 SLOW = (0.3, 2.0)
 #: Seconds that a process or a computer stands still for.
 STOPPED = (0.05, 6.0)
+#: For how long a team is split: the majority may go on with what the others have meanwhile.
+SPLIT = (4.0, 10.0)
+#: How long faults of some kinds last.
+LENGTHS = {"stop": STOPPED, "suspend": STOPPED, "guard_stop": STOPPED, "split": SPLIT}
 #: How fast a clock runs that drifts, as leases allow for; one that is broken; and by how many seconds a time
 #: of day jumps at most.
 DRIFT, RACE, JUMP = (0.99, 1.01), (0.9, 1.1), 1e7
 #: A forecast of no length reaches so far, in seconds.
 LONG = 300.0
+#: The kinds that are orders of a person, or need one.
+ORDERS = ("estop", "pause", "wreck")
+#: So often a person goes on with what a wreck had; else that is given up.
+RECOVERS = 0.7
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,6 +76,10 @@ class Weather:
     guard_kill: float = 0.0
     guard_stop: float = 0.0
     swap: float = 0.0
+    split: float = 0.0
+    estop: float = 0.0
+    pause: float = 0.0
+    wreck: float = 0.0
 
     def forecast(self, hosts: Sequence[str], dice: random.Random, seconds: float) -> list[Fault]:
         """The faults of so many seconds from now, in their order."""
@@ -75,21 +89,26 @@ class Weather:
             at = own.expovariate(1.0 / mean) if mean else seconds
             while at < seconds:
                 one, other = own.sample(hosts, 2) if len(hosts) > 1 else (hosts[0], hosts[0])
-                lasts = own.uniform(*(STOPPED if kind in ("stop", "suspend", "guard_stop") else LASTS))
+                lasts = own.uniform(*LENGTHS.get(kind, LASTS))
                 faults.append(Fault(at, kind, one, other, lasts, own.random()))
                 at += own.expovariate(1.0 / mean)
         return sorted(faults, key=lambda fault: fault.at)
 
     def over(self, fleet: Fleet, dice: random.Random, seconds: float = LONG) -> Storm:
         """Let it break over a team from now on."""
-        return Storm(fleet, self.forecast(fleet.mission.team.hosts, dice, seconds))
+        return Storm(fleet, self.forecast(fleet.mission.team.hosts, dice, seconds), Unjudged())
 
 
 class Storm:
     """A forecast that comes true over one team, until `end`. A fault of a host that is down does nothing."""
 
-    def __init__(self, fleet: Fleet, forecast: Iterable[Fault]) -> None:
+    def __init__(self, fleet: Fleet, forecast: Iterable[Fault], judges: Judges) -> None:
         self.fleet = fleet
+        forecast = list(forecast)
+        #: The person who gives orders, if anybody does: `judges` hears what hosts answer.
+        self.operator: Operator | None = None
+        if any(fault.kind in ORDERS for fault in forecast):
+            self.operator = Operator(fleet, judges, random.Random(repr(forecast[0])))
         #: Every fault that struck: when, and what.
         self.faults: list[tuple[float, str]] = []
         self._over = False
@@ -102,6 +121,7 @@ class Storm:
             "clock": self._clock, "disk_full": self._disk_full, "disk_fail": self._disk_fail,
             "disk_new": self._disk_new,
             "guard_kill": self._guard_kill, "guard_stop": self._guard_stop, "swap": self._swap,
+            "split": self._split, "estop": self._estop, "pause": self._pause, "wreck": self._wreck,
         }  # fmt: skip
         for fault in forecast:
             self._after(fault.at, partial(self._strike, kinds[fault.kind], fault))
@@ -112,6 +132,8 @@ class Storm:
         for disk in self.fleet.disks.values():
             disk.full = disk.broken = False
         self.fleet.heal_all()
+        if self.operator is not None:
+            self.operator.free_all()
 
     def _strike(self, strike: Callable[[Fault], None], fault: Fault) -> None:
         if not self._over:
@@ -160,6 +182,18 @@ class Storm:
         for name in self._others(fault.one):
             if name != fault.other:
                 self._kill(replace(fault, one=name, lasts=fault.size))
+
+    def _split(self, fault: Fault) -> None:
+        """The team falls into two groups of at least two hosts, where it has that many."""
+        others = sorted(set(self._others(fault.one)) - {fault.other})
+        count = 2 + int(fault.size * max(1, len(others) - 2))
+        near = [fault.one, *random.Random(fault.size).sample(others, min(count - 1, len(others)))]
+        far = [name for name in self._others(fault.one) if name not in near]
+        self._note(f"{', '.join(sorted(near))} are cut off from {', '.join(far)}")
+        for one in near:
+            for other in far:
+                self._silence(one, other, fault.lasts)
+                self._silence(other, one, fault.lasts)
 
     def _others(self, name: str) -> list[str]:
         return [other for other in self.fleet.mission.team.hosts if other != name]
@@ -283,6 +317,26 @@ class Storm:
         disk.broken = True
         self._after(fault.lasts, partial(setattr, disk, "broken", False))
 
+    # --- orders of a person ---------------------------------------------------------------------------
+
+    def _estop(self, fault: Fault) -> None:
+        if self.operator is not None:
+            self._note("emergency stop")
+            self.operator.press("stop", fault.lasts)
+
+    def _pause(self, fault: Fault) -> None:
+        if self.operator is not None:
+            self._note("pause")
+            self.operator.press("pause", fault.lasts)
+
+    def _wreck(self, fault: Fault) -> None:
+        """A host is gone for good, and no majority may go on without it: a person must."""
+        if self.operator is None or self.fleet.gone or self.fleet.mission.fenced:
+            return
+        self._note(f"{fault.one} is wrecked")
+        self.fleet.lose(fault.one)
+        self._after(fault.lasts, partial(self.operator.lose, recovers=fault.size < RECOVERS))
+
     # --- guards ---------------------------------------------------------------------------------------
 
     def _guard_kill(self, fault: Fault) -> None:
@@ -299,6 +353,22 @@ class Storm:
         hosts = [life.process for life in self.fleet.lives.values()]
         guards = [p for p in self.fleet.computers[fault.one].processes if p not in hosts]
         return guards[int(fault.size * len(guards))] if guards else None
+
+
+class Unjudged:
+    """Nobody checks what hosts answer to a person."""
+
+    def confirmed(self, hold: Hold, host: str, answer: EmergencyStopped) -> None:
+        """See `Judges`."""
+
+    def lifting(self, hold: Hold) -> None:
+        """See `Judges`."""
+
+    def gave_up(self, agent: str, starts: Mapping[str, int]) -> None:
+        """See `Judges`."""
+
+    def acts(self) -> None:
+        """See `Judges`."""
 
 
 def _nothing() -> None:

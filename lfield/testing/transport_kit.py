@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Protocol, TypeVar
 
 import pytest
 
-from lfield.errors import AddressError, GreetingError, LfieldError, WireError
+from lfield.errors import AddressError, GreetingError, LfieldError, OverBudget, WireError
 from lfield.wire.codec import CONTROL, GREETING_LIMITS, HELLO, TRANSFER, encode, encode_transfer
 from lfield.wire.coordinators import Ended, Transfer
 from lfield.wire.fields import MAX_TEXT
@@ -60,6 +60,7 @@ class Recorder:
         self.link: Link | None = None
         self.heard: list[Message | tuple[Transfer, bytes]] = []
         self.oversize: list[tuple[Transfer, int]] = []
+        self.excesses: list[OverBudget] = []
         self.ends: list[LfieldError | None] = []
         self._refuse = refuse
 
@@ -77,6 +78,10 @@ class Recorder:
     def on_oversize(self, link: Link, header: Transfer, size: int) -> None:
         """Keep header and size."""
         self.oversize.append((header, size))
+
+    def on_excess(self, link: Link, error: OverBudget) -> None:
+        """Keep what was reported."""
+        self.excesses.append(error)
 
     def on_closed(self, link: Link, error: LfieldError | None) -> None:
         """Keep the reason."""

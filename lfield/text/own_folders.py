@@ -1,7 +1,8 @@
 """Where a user's own folders are.
 
 What outlives its processes is where the environment says, else in the user's home. What is no absolute path
-is not taken: the folder would be another one wherever a command is called.
+is not taken: the folder would be another one wherever a command is called. A symbolic link of another user is
+never followed: where others may write to the folder above, it would lead to any other folder of this user.
 
 What lasts as long as its processes:
 
@@ -19,6 +20,7 @@ import os
 import pwd
 import re
 import secrets
+import stat
 from collections import defaultdict
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
@@ -43,15 +45,35 @@ def own_folder(variable: str, place: str, environment: Mapping[str, str] = os.en
 
 
 def state_folder() -> Path:
-    """The folder of what outlives a run: the service's, else the user's own. Raises NoHome."""
+    """The folder of what outlives a run: the service's, else the user's. Raises NoHome, OutputFileError."""
     # systemd names all state folders of a unit, with colons between.
     service = os.environ.get("STATE_DIRECTORY", "").partition(":")[0]
-    return Path(service) if service else own_folder("XDG_STATE_HOME", ".local/state") / "lfield"
+    return Path(service) if service else lfield_in(own_folder("XDG_STATE_HOME", ".local/state"))
 
 
 def cache_folder() -> Path:
-    """The folder of what can be made again. Raises NoHome."""
-    return own_folder("XDG_CACHE_HOME", ".cache") / "lfield"
+    """The folder of what can be made again, made on demand, private to this user.
+
+    Raises NoHome, and OutputFileError where there is none that others cannot write to.
+    """
+    return private_folder(lfield_in(own_folder("XDG_CACHE_HOME", ".cache")))
+
+
+def lfield_in(base: Path) -> Path:
+    """The folder `lfield` in a base folder; where it is a symbolic link of this user or root, its target.
+
+    Raises OutputFileError for a link of another user.
+    """
+    place = base / "lfield"
+    try:
+        found = os.lstat(place)
+    except OSError:
+        return place
+    if not stat.S_ISLNK(found.st_mode):
+        return place
+    if found.st_uid not in (0, os.geteuid()):
+        raise OutputFileError(str(place), "it is a symbolic link of another user: remove it")
+    return Path(os.path.realpath(place))
 
 
 def _home(environment: Mapping[str, str]) -> str:

@@ -52,8 +52,10 @@ class Agent:
     alarm = math.inf
     #: Whether one is over that could not be thrown yet.
     overdue = False
-    #: What is thrown when the call comes back that a limit has cancelled.
-    over = ""
+    #: What is thrown when the call comes back that a limit has cancelled, and when that was over (ns).
+    over, over_at = "", 0
+    #: Why a limit that is over could not be thrown in time.
+    late_since = ""
 
     # By hand, and with what seldom changes in the class: one is made at every hop.
     def __init__(

@@ -11,7 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Protocol
 
-from lfield.vm.agent import Agent
+from lfield.vm.agent import Agent, Member
 from lfield.vm.memory.block import Block
 
 #: Why a call must not begin, '' when it may, by the ids of coordinator and resource, and the portal's index.
@@ -67,9 +67,11 @@ class Asked(Protocol):
 class Attached:
     """What is attached to one machine. `rules` are asked before each portal begins. `stand_ins` by the ids of
     resources, which must not have started yet: their `init` does not run, and they are open at once. `meter`
-    is given the instructions of each turn."""
+    is given the instructions of each turn. `is_silent` tells whether nothing was heard for a while of the
+    host where an agent of the team is, though there is a link."""
 
     rules: Rules | None = None
     watch: Watch | None = None
     meter: Callable[[int], None] | None = None
+    is_silent: Callable[[Member], bool] | None = None
     stand_ins: dict[str, Callable[[Asked], None]] = field(default_factory=dict)

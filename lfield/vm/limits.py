@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator
 from functools import partial
 from typing import Protocol
 
-from lfield.bytecode.program import LANDING, LIMIT, OVER
+from lfield.bytecode.program import LANDING, LIMIT
 from lfield.vm import portals
 from lfield.vm.agent import Agent
 from lfield.vm.begun import Begun
@@ -27,7 +27,7 @@ from lfield.vm.memory.layout import (
 )
 from lfield.vm.memory.threads import only_thread, serving
 from lfield.vm.reference.unwind import rows_of
-from lfield.vm.scheduler import Scheduler
+from lfield.vm.scheduler import LATE, Scheduler
 
 TIME_LIMIT = "TimeLimitException"
 #: How soon it is looked again whether a `finally` that a limit must not cut has come to its end, in seconds.
@@ -41,6 +41,12 @@ class Calling(Protocol):
 
     def called(self, agent: Agent) -> str:
         """The call that it waits for, as `resource.portal()`; '' for none."""
+
+    def head(self, agent: Agent) -> str:
+        """The name of the head of a `together` at which it stands; '' for none."""
+
+    def keeps_waiting(self, agent: Agent) -> str:
+        """Why a frozen one cannot go on at once."""
 
     def cut_short(self, agent: Agent) -> str:
         """What a frozen one is kept from, as the end of a sentence; '' for nothing."""
@@ -79,6 +85,8 @@ class TimeLimits:
         if not self._scheduler.program.has_limits:
             return
         if ends := [agent.block.w[word] for word, _ in self._around(agent)]:
+            if min(ends) <= self._scheduler.clock_of(agent):
+                agent.late_since = "it was on its way between hosts, or its host was down"
             self._arm(agent, min(ends))
 
     def nearest(self, agent: Agent) -> float | None:
@@ -91,6 +99,8 @@ class TimeLimits:
         due = self._due(agent)
         agent.overdue = not due and any(self._is_over(agent, word) for word, _ in self._around(agent))
         if due:
+            if why:
+                agent.late_since = ""
             self._throw(agent, only_thread(agent.block), due, f": {why}" if why else "")
         return bool(due)
 
@@ -118,6 +128,8 @@ class TimeLimits:
             self._over(agent, due)
         elif len(later) < len(around):
             agent.overdue = True
+            agent.late_since = "a finally that has begun is not cut short"
+            self._hurry_leave(agent)
             self._arm(agent, self._scheduler.clock_of(agent) + int(SOON * 1e9))
 
     # --- what is over ---------------------------------------------------------------------------------
@@ -137,6 +149,42 @@ class TimeLimits:
             if row.kind == LIMIT and w[word] > 0:
                 yield word, shielded
 
+    def _hurry_leave(self, agent: Agent) -> None:
+        """A coordinator that leaves a `together`, and waits for a host that it cannot reach, goes on."""
+        leaves = agent.frozen and self._visits.head(agent) == "leave" and self.is_block_over(agent)
+        if leaves and self._scheduler.world.give_up(agent):
+            agent.frozen = False
+            self._scheduler.turns.next(agent, only_thread(agent.block))
+
+    def is_block_over(self, agent: Agent) -> bool:
+        """Whether a limit is over around the block that a coordinator is about to leave.
+
+        It stands in the code of a `finally`. Limits beyond the next one do not count: they cut neither.
+        """
+        return bool(self._ends_over(agent))
+
+    def _ends_over(self, agent: Agent) -> list[int]:
+        """The ends of the limits that are over around the block that is left, in ns."""
+        w, landings, found = agent.block.w, 0, []
+        now = self._scheduler.clock_of(agent) + _SLACK
+        for frame, row in rows_of(agent.block, self._scheduler.program, w[layout.W_THREADS]):
+            landings += row.kind == LANDING
+            if landings > 1:
+                break
+            end = w[frame + FRAME_SLOTS + row.slot] if row.kind == LIMIT else 0
+            if end < 0 or 0 < end <= now:
+                found.append(abs(end))
+        return found
+
+    def lateness(self, agent: Agent) -> float:
+        """By how many seconds the end of the block is late that a coordinator leaves; 0 for in time."""
+        ends = self._ends_over(agent)
+        return self._seconds_since(agent, max(ends)) if ends else 0.0
+
+    def _seconds_since(self, agent: Agent, end: int) -> float:
+        seconds = (self._scheduler.clock_of(agent) - end) / 1e9
+        return seconds if seconds >= LATE else 0.0
+
     def _due(self, agent: Agent) -> list[int]:
         """The words of the limits that are over and may throw."""
         around = self._around(agent)
@@ -155,6 +203,7 @@ class TimeLimits:
             what = self._visits.cut_short(agent)
             if not scheduler.world.give_up(agent):
                 agent.overdue = True
+                agent.late_since = self._visits.keeps_waiting(agent)
                 return
             agent.frozen = False
             self._throw(agent, thread, due, what)
@@ -170,8 +219,7 @@ class TimeLimits:
     def _cancel(self, agent: Agent, number: int, due: list[int]) -> None:
         """The call that the coordinator waits for is cancelled; it throws when that has come to its end."""
         called = self._visits.called(agent)
-        for word in due:
-            agent.block.w[word] = OVER
+        agent.over_at = self._end_all(agent, due)
         agent.over = f"the time is over; {called} was cancelled"
         for resource in list(self._scheduler.agents.values()):
             if resource.member.kind == "resource" and serving(resource.block, number):
@@ -179,9 +227,19 @@ class TimeLimits:
                 return
 
     def _throw(self, agent: Agent, thread: int, due: list[int], what: str) -> None:
+        late = self._seconds_since(agent, self._end_all(agent, due))
+        said = f", {late:.1f} s late" if late else ""
+        said += f" since {agent.late_since}" if late and agent.late_since else ""
+        agent.late_since = ""
+        self._scheduler.refuse(agent, thread, TIME_LIMIT, f"the time is over{said}{what}", agent.id)
+
+    def _end_all(self, agent: Agent, due: list[int]) -> int:
+        """Mark limits as over: the end stays there, below zero. Returns the last of them, in ns."""
+        w = agent.block.w
+        ends = [w[word] for word in due]
         for word in due:
-            agent.block.w[word] = OVER
-        self._scheduler.refuse(agent, thread, TIME_LIMIT, f"the time is over{what}", agent.id)
+            w[word] = -w[word]
+        return max(ends)
 
     def cancel_at_end(self, agent: Agent, resource: Agent, begun: Begun) -> None:
         """A call that was begun is cancelled here when the time of whoever began it is over."""

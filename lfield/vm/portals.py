@@ -279,7 +279,7 @@ def _give(scheduler: Scheduler, resource: Agent, begun: Begun, word: int) -> Non
 
 def _return(scheduler: Scheduler, resource: Agent, caller: Agent, waiter: int, word: int) -> None:
     if caller.over:
-        scheduler.refuse(caller, waiter, "TimeLimitException", caller.over, resource.id)
+        scheduler.refuse_over(caller, waiter, resource.id)
         return
     w = caller.block.w
     place = w[W_THREADS]
@@ -349,7 +349,7 @@ def _rethrow(
     scheduler: Scheduler, resource: Agent, caller: Agent, waiter: int, copy: Callable[[Block], int]
 ) -> None:
     if caller.over:
-        scheduler.refuse(caller, waiter, "TimeLimitException", caller.over, resource.id)
+        scheduler.refuse_over(caller, waiter, resource.id)
         return
     try:
         copied = scheduler.with_room(caller, lambda: copy(caller.block))

@@ -38,6 +38,8 @@ from lfield.vm.turns import Turns
 from lfield.vm.world import World
 
 T = TypeVar("T")
+#: A block that ends so many seconds after its time limit is told as late.
+LATE = 0.2
 
 
 class Scheduler:
@@ -175,6 +177,12 @@ class Scheduler:
             self.die(agent, f"{kind}: {message} (and no room left to throw it)")
             return
         self.throw(agent, thread, thrown)
+
+    def refuse_over(self, caller: Agent, thread: int, source: str) -> None:
+        """A call that a time limit has cancelled has ended: its caller hears of it, and how late it is."""
+        late = (self.clock_of(caller) - caller.over_at) / 1e9
+        said = f", {late:.1f} s late since it took so long to end" if late >= LATE else ""
+        self.refuse(caller, thread, "TimeLimitException", f"{caller.over}{said}", source)
 
     def throw(self, agent: Agent, thread: int, thrown: int) -> None:
         """Throw the object at `thrown` where a thread stands."""

@@ -15,6 +15,9 @@ CopyState = Literal["RUN", "FROZEN", "PREPARED", "IN DOUBT", "MOVED", "EXITED", 
 #: How a coordinator ended. 'superseded': an earlier start of it is alive, so this one was stopped.
 Outcome = Literal["done", "died", "lost", "superseded"]
 
+#: The outcomes that terminate a coordinator; 'superseded' is about one start of it only.
+TERMINAL: tuple[Outcome, ...] = ("done", "died", "lost")
+
 #: `Refused.kind` for an id that the receiver never saw and now never will take.
 NEVER_ARRIVED = "never arrived"
 

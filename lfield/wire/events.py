@@ -229,6 +229,22 @@ class Unlinked(Struct, frozen=True, array_like=True, forbid_unknown_fields=True,
     lost: bool = True
 
 
+class Refused(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag="refused"):
+    """No link with another host can be made, for that reason; '' when that is over."""
+
+    peer: Name
+    reason: Text
+
+
+class Waits(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag="waits"):
+    """Coordinators of this host are not started yet: their start waits for those `hosts`, or is `held` for
+    that reason until an operator's command. Commas separate names; no `agents`: none waits any more."""
+
+    agents: Text
+    hosts: Text
+    held: Text = ""
+
+
 class Stopped(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag="stopped"):
     """Somebody has pressed the emergency stop, or has `lifted` it."""
 
@@ -303,6 +319,8 @@ State = (
     | Withdrawn
     | Linked
     | Unlinked
+    | Refused
+    | Waits
     | Stopped
     | Paused
     | Ending

@@ -49,6 +49,15 @@ ToldBy = Literal["stated", "told", "measured"]
 Telemetry = bool | int | float | Text | Annotated[list[int | float], Meta(max_length=MAX_NUMBERS)]
 
 
+#: So many hexadecimal digits of a bundle's digest are shown, everywhere the same: people compare them.
+DIGITS = 16
+
+
+def short_digest(digest: bytes) -> str:
+    """The digest of a bundle as every command and log line shows it; '' for none."""
+    return digest.hex()[:DIGITS]
+
+
 def clip(text: str, longest: int = MAX_TEXT) -> str:
     """The text cut to what a message may carry."""
     return text if len(text) <= longest else text[: longest - 4] + " ..."

@@ -38,6 +38,8 @@ from lfield.wire.observing import (
     Pause,
     Recover,
     Recovered,
+    StartRequest,
+    StartResponse,
     Status,
     StatusRequest,
 )
@@ -46,7 +48,7 @@ from lfield.wire.reservations import ReservationMessage
 from lfield.wire.watching import WatchMessage
 
 #: The version of everything in this package. Hosts of different versions do not talk.
-PROTOCOL = 7
+PROTOCOL = 8
 
 #: What a peer is: one of the team, or somebody who looks at it (`lfield ps`).
 Role = Literal["host", "observer"]
@@ -66,7 +68,8 @@ class Hello(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
     places from; '' where nowhere. `reservation` is how long one lasts unheard, in seconds. `time` is what it
     is as far as the sender knows without the others, in seconds since 1970 UTC, and `revoked` the number of
     its revocation list; both 0 where nobody has keys. `bundle` is the digest of the bundle that it runs, of
-    which those hashes are a part; b"" where it runs what its own files say.
+    which those hashes are a part; b"" where it runs what its own files say, and `built` is then the digest of
+    the bundle that it has made of those files: it is shown to people and not compared.
     """
 
     role: Role
@@ -86,6 +89,7 @@ class Hello(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
     time: Moment = 0.0
     revoked: Count = 0
     bundle: Hash = b""
+    built: Hash = b""
 
     @property
     def brief(self) -> Hello:
@@ -216,6 +220,8 @@ Control = (
     | Pause
     | Recover
     | Recovered
+    | StartRequest
+    | StartResponse
     | Report
     | Heard
     | Room

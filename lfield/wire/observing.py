@@ -141,6 +141,28 @@ class BundleStatus(Struct, frozen=True, array_like=True, forbid_unknown_fields=T
     at: Moment = 0.0
 
 
+class RefusedHost(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
+    """Another host that no link can be made with, and why; `bundle` is the digest of the bundle that it runs,
+    b"" where that is not known."""
+
+    host: Name
+    reason: Text
+    bundle: Hash = b""
+
+
+class StartStatus(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
+    """The coordinators of a host that are not started yet, and what their start waits for.
+
+    `hosts` are those that have resources and are not linked, `without` those that the start does not wait
+    for. `held` is why the start waits for an operator's command, '' where it does not.
+    """
+
+    agents: Annotated[list[Name], Meta(max_length=4096)]
+    hosts: Annotated[list[Name], Meta(max_length=4096)]
+    without: Annotated[list[Name], Meta(max_length=4096)] = []
+    held: Text = ""
+
+
 class Status(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=7):
     """The answer: a host that has been `up` for so many seconds, its agents, devices and links.
 
@@ -151,7 +173,8 @@ class Status(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, t
     `lease` lets coordinators act, None where they need none. `begun` are the calls that were begun here and
     are still to be fetched, `reserved` the resources here that coordinators have reserved. `bundle` is None
     for a mission that was read from files. `stopped` is why an emergency stop bars its devices, '' for none,
-    and `unkept` what it could not keep of whom it believes, and forgets with its end.
+    and `unkept` what it could not keep of whom it believes, and forgets with its end. `refused` are the hosts
+    with which no link can be made, `start` is None where no coordinator of this host waits to be started.
     """
 
     host: Name
@@ -174,6 +197,8 @@ class Status(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, t
     bundle: BundleStatus | None = None
     stopped: Text = ""
     unkept: Text = ""
+    refused: Annotated[list[RefusedHost], Meta(max_length=4096)] = []
+    start: StartStatus | None = None
 
 
 class EmergencyStop(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=10):
@@ -236,3 +261,18 @@ class Pause(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, ta
     """
 
     lift: bool = False
+
+
+class StartRequest(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=37):
+    """From an observer: start the coordinators that wait, and do not wait for the hosts in `without`."""
+
+    without: Annotated[list[Name], Meta(max_length=4096)] = []
+
+
+class StartResponse(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=38):
+    """The answer: the coordinators that were `started` by that request, and what others of this host still
+    wait for, None where none does. `trouble` is why nothing was done, '' where it was."""
+
+    started: Annotated[list[Name], Meta(max_length=4096)]
+    waiting: StartStatus | None = None
+    trouble: Text = ""

@@ -10,6 +10,7 @@ from typing import Annotated
 
 from msgspec import Meta, Struct
 
+from lfield.wire.coordinators import Ended
 from lfield.wire.fields import Age, Count, MaybeName, Name, Ordinal
 
 #: The most coordinators of one host, or fences, that a message names.
@@ -50,7 +51,9 @@ class Place(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
 class Heartbeat(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=30):
     """To a member: acknowledge this, and the sender may act for a while longer.
 
-    `life` is the sender's incarnation, `number` counts in it. `fences` is a hash of all that it knows.
+    `life` is the sender's incarnation, `number` counts in it. `fences` is a hash of all fences and
+    terminations that it knows. `held` also names a coordinator that has terminated on the sender, until a
+    majority of the members has that termination on disk.
     """
 
     life: Count
@@ -60,14 +63,16 @@ class Heartbeat(Struct, frozen=True, array_like=True, forbid_unknown_fields=True
 
 
 class Ack(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=31):
-    """The answer: all fences of this member, or none where the hash says that they are known.
+    """The answer: all fences and terminations of this member, or none where the hash is the same.
 
-    With number 0 it tells its fences and acknowledges nothing: its journal is new.
+    `ended` has the newest termination of each coordinator. With number 0 the sender acknowledges nothing: its
+    journal is new.
     """
 
     life: Count
     number: Count
     fences: Annotated[list[Barred], Meta(max_length=MOST)]
+    ended: Annotated[list[Ended], Meta(max_length=MOST)] = []
 
 
 class Seek(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=32):
@@ -79,7 +84,8 @@ class Seek(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag
 class Sought(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=33):
     """The answer: the newest block that is kept here, and on which host the coordinator is known to live.
 
-    `holder` is '' when that is not known; it held that `generation` so long ago, in seconds.
+    `holder` is '' when that is not known; it held that `generation` so long ago, in seconds. `ended` is the
+    newest termination that the sender knows: no start up to that generation may be recovered.
     """
 
     agent: Name
@@ -87,22 +93,31 @@ class Sought(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, t
     holder: MaybeName = ""
     generation: Ordinal = 0
     age: Age = 0.0
+    ended: Ended | None = None
 
 
 class Propose(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=34):
-    """To a member: bar every start before `generation`, which is the sender's own."""
+    """To a member: bar every start before `generation`, which is the sender's own.
+
+    `start` is the start whose block the sender is about to go on from.
+    """
 
     agent: Name
     generation: Ordinal
+    start: Ordinal = 0
 
 
 class Promise(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=35):
-    """The answer, once it is on disk. A `fence` beyond the proposed generation refuses it."""
+    """The answer, once it is on disk.
+
+    A `fence` beyond the proposed generation refuses it, and so does `ended`: the coordinator has terminated.
+    """
 
     agent: Name
     generation: Ordinal
     fence: Ordinal
     place: Place | None
+    ended: Ended | None = None
 
 
 QuorumMessage = Heartbeat | Ack | Seek | Sought | Propose | Promise

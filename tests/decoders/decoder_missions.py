@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import tempfile
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
+from lfield.mission.bindings import MissionStart
 from lfield.mission.load import load_mission
 from lfield.mission.mission import Mission
 
@@ -106,10 +108,12 @@ HOSTS = ("alpha", "bravo", "charlie")
 
 @cache
 def mission() -> Mission:
-    """The mission, compiled once."""
+    """The mission, compiled once. Its coordinators start alone: nobody but bytes is there to link with."""
     with tempfile.TemporaryDirectory(prefix="lfield-") as folder:
         at = Path(folder)
         (at / "mission.L").write_text(PROGRAM)
         (at / "mission.dL").write_text(DEPLOYMENT)
         (at / "mission.capabilities.yaml").write_text(CAPABILITIES)
-        return load_mission(at / "mission.dL", simulate=True)
+        made = load_mission(at / "mission.dL", simulate=True)
+    alone = MissionStart(tuple(made.team.hosts))
+    return made.with_bindings(replace(made.bindings, start=alone))

@@ -6,6 +6,7 @@ import asyncio
 import io
 import random
 from collections.abc import Awaitable, Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ import pytest
 
 from lfield.host.host import Host, Options
 from lfield.host.logbook import Logbook
+from lfield.mission.bindings import MissionStart
 from lfield.mission.load import load_mission
 from lfield.mission.mission import Mission
 from lfield.simulate.disk import JournalDisk
@@ -62,8 +64,9 @@ class Fleet:
         capabilities: str = "",
         access: str = "",
         simulate: bool = False,
+        without: tuple[str, ...] = (),
     ) -> Mission:
-        """Write the files of a mission and read them as `lfield up` does."""
+        """Write the files of a mission and read them as `lfield up` does; no start waits for `without`."""
         self.folder.mkdir(exist_ok=True)
         files = {
             ".L": program,
@@ -75,7 +78,8 @@ class Fleet:
         for ending, text in files.items():
             if text:
                 (self.folder / (name + ending)).write_text(text)
-        return load_mission(self.folder / f"{name}.dL", simulate=simulate)
+        made = load_mission(self.folder / f"{name}.dL", simulate=simulate)
+        return made.with_bindings(replace(made.bindings, start=MissionStart(without)))
 
     def make(self, mission: Mission, name: str, *, address: str = "", **options: Any) -> Running:
         """A host, not yet started. With `keeps` it has a journal, on its disk."""

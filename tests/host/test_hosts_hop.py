@@ -61,7 +61,7 @@ coordinator Visitor {
     )
 
     async def story(team):
-        mission = team.mission(program, TWO_HOSTS)
+        mission = team.mission(program, TWO_HOSTS, without=("bravo",))
         (alpha,) = await team.up(mission, "alpha")
         await asyncio.sleep(5.0)
         (bravo,) = await team.up(mission, "bravo")
@@ -143,7 +143,7 @@ def test_n_resources_agree_in_2n_hops(fleet, hosts):
 
 def test_a_portal_call_waits_for_a_host_that_is_not_up_yet(fleet):
     async def story(team):
-        mission = team.mission(THERE_AND_BACK, TWO_HOSTS)
+        mission = team.mission(THERE_AND_BACK, TWO_HOSTS, without=("bravo",))
         (alpha,) = await team.up(mission, "alpha")
         await asyncio.sleep(5.0)
         assert alpha.holds("visitor")
@@ -213,7 +213,7 @@ coordinator Cautious {
 @pytest.mark.parametrize("bound", [2.0, 30.0])
 def test_a_host_that_stays_away_is_an_exception_after_the_bound(fleet, bound):
     async def story(team):
-        mission = team.mission(CAUTIOUS, TWO_HOSTS.replace("Visitor", "Cautious"))
+        mission = team.mission(CAUTIOUS, TWO_HOSTS.replace("Visitor", "Cautious"), without=("bravo",))
         (alpha,) = await team.up(mission, "alpha", unreachable_after=bound)
         assert await team.ended("visitor") == "done"
         assert alpha.output == [
@@ -225,7 +225,9 @@ def test_a_host_that_stays_away_is_an_exception_after_the_bound(fleet, bound):
 
 def test_an_uncaught_unreachable_host_names_the_statement_and_the_hosts_visited(fleet):
     async def story(team):
-        (alpha,) = await team.up(team.mission(THERE_AND_BACK, TWO_HOSTS), "alpha", unreachable_after=1.0)
+        (alpha,) = await team.up(
+            team.mission(THERE_AND_BACK, TWO_HOSTS, without=("bravo",)), "alpha", unreachable_after=1.0
+        )
         assert await team.ended("visitor") == "died"
         assert "visitor died of an uncaught UnreachableResourceException: bravo could not be" in alpha.log
         line = 1 + THERE_AND_BACK.splitlines().index('        near.say(far.say("a") + far.say("b"));')

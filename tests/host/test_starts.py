@@ -7,6 +7,7 @@ import asyncio
 import pytest
 
 from lfield.errors import HostFailure
+from lfield.host.process.until_done import until_done
 from lfield.journal.pages import Run, Starts
 from lfield.mobility.copies import MAX_STARTS
 from lfield.operator.fresh import anew
@@ -81,7 +82,7 @@ def test_without_a_record_a_host_waits_until_it_has_heard_all(fleet):
 
 def test_somebody_may_say_that_there_was_no_earlier_start(fleet):
     async def story(team):
-        mission = team.mission(PROGRAM, DEPLOYMENT)
+        mission = team.mission(PROGRAM, DEPLOYMENT, without=("away",))
         (home,) = await team.up(mission, "home", keeps=True, first_start=True)
         assert start_of(home) == 1
 
@@ -103,16 +104,20 @@ def test_where_no_record_is_kept_all_hosts_are_heard_first(fleet):
     fleet(story)
 
 
-def test_a_host_that_was_reaped_is_not_waited_for(fleet):
+def test_a_start_that_needs_a_host_that_was_reaped_is_not_made(fleet):
     async def story(team):
         mission = team.mission(PROGRAM, DEPLOYMENT)
         (home,) = await team.up(mission, "home", first_start=False)
         await asyncio.sleep(5.0)
         home.host.reaped("nobody we know")
+        assert home.host.core.startup.unstartable(home.host.core.hearsay.gone) == {}
         home.host.reaped("away")
-        # It begins, and does not wait either for the resource that was there.
-        assert await team.ended("guest") == "died"
-        assert "away could not be reached: it has ended" in home.log
+        await asyncio.sleep(5.0)
+        assert not home.holds("guest")
+        # Who waits for the end of the mission does not wait for ever.
+        (fate,) = await until_done(home.host, 3.0)
+        assert (fate.agent, fate.outcome) == ("guest", "lost")
+        assert fate.detail == "it was not started, since away has ended"
 
     fleet(story)
 
@@ -155,7 +160,7 @@ def _opens_later(running, opened: asyncio.Event) -> None:
 
 def test_a_start_that_cannot_be_kept_is_not_made(fleet):
     async def story(team):
-        mission = team.mission(PROGRAM, DEPLOYMENT + "//Post:here@home\n")
+        mission = team.mission(PROGRAM, DEPLOYMENT + "//Post:here@home\n", without=("away",))
         home = team.make(mission, "home", keeps=True)
         team.disks["home"].broken = True
         starting = asyncio.ensure_future(home.host.start())

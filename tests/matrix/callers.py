@@ -27,7 +27,7 @@ from lfield.net.transport import Link
 from lfield.wire.codec import encode, encode_transfer
 from lfield.wire.coordinators import Ended, Transfer
 from lfield.wire.messages import AgentReport, Control, Hello, Message, Ping, Report, Revocations, Role
-from lfield.wire.observing import EmergencyStop, Forget, Pause, Recover, StatusRequest
+from lfield.wire.observing import EmergencyStop, Forget, Pause, Recover, StartRequest, StatusRequest
 from lfield.wire.quorum import Propose
 from lfield.wire.reservations import Renew
 from lfield.wire.watching import Watch
@@ -54,6 +54,7 @@ SAID_BY_COMMANDS: dict[str, Message] = {
     "resume": Pause(lift=True),
     "forget": Forget("tom"),
     "recover": Recover("tom", 1, 2, 3),
+    "start": StartRequest(["bravo"]),
 }
 #: What the mission says of persons.
 RULES = Access("mission.access.yaml", (Person("maria", (Right.OBSERVE,), 2), Person("nina", (), 3)))

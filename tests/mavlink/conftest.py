@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import pytest
@@ -30,6 +31,10 @@ class MemoryLink:
         self.bench, self.number, self.on_data = bench, number, on_data
         self.cut = self.refused = False
         self.sent: list[bytes] = []
+        #: Says from which address what comes next is.
+        self.sender: Callable[[str], None] = lambda address: None
+        #: What was sent to one address only.
+        self.sent_to: list[tuple[str, bytes]] = []
 
     async def open(self) -> None:
         if self.refused:
@@ -40,6 +45,10 @@ class MemoryLink:
         self.bench.sent.append(data)
         if not self.cut:
             asyncio.get_running_loop().call_soon(self._deliver, data)
+
+    def send_to(self, data: bytes, address: str) -> None:
+        self.sent_to.append((address, data))
+        self.send(data)
 
     def _deliver(self, data: bytes) -> None:
         for fake in self.bench.fakes.values():
@@ -71,6 +80,7 @@ class Bench(DriverBench):
         links: int = 1,
         set_up: bool = True,
         frame: Placement | None = None,
+        endpoint: str = "",
         **autopilot: Any,
     ) -> None:
         self.faults = make_faults(*faults, systems=systems)
@@ -95,7 +105,8 @@ class Bench(DriverBench):
         bindings = [
             bind(
                 PLUGIN, agent=f"a{system}", field="fc", safe_state=safe_state,
-                endpoint=", ".join(f"udp:127.0.0.1:{port}" for port in range(1, links + 1)), ttl=ttl,
+                endpoint=endpoint or ", ".join(f"udp:127.0.0.1:{port}" for port in range(1, links + 1)),
+                ttl=ttl,
                 limits=limits or {}, options={**given, "system": system}, waivers=list(waivers),
                 frame=frame,
             )
@@ -110,6 +121,7 @@ class Bench(DriverBench):
             def _make_link(self, endpoint, on_data):
                 link = MemoryLink(bench, len(bench.links), on_data)
                 link.refused = link.number in bench.refused
+                link.sender = partial(self._from, link.number)
                 bench.links.append(link)
                 return link
 

@@ -75,7 +75,7 @@ def why(takes: Callable[..., Taken], data: bytes, at: float = NOW, **options: ob
     with pytest.raises(SignatureError) as error:
         takes(data, at, **options)
     assert error.value.exit_status == 65
-    short = bundle.contents(data).digest.hex()[:12]
+    short = bundle.contents(data).digest.hex()[:16]
     assert str(error.value).startswith(f"bundle {short} does not run here: ")
     return str(error.value)
 
@@ -97,7 +97,7 @@ def test_who_has_signed_it_and_when_is_known_from_then_on(
 ) -> None:
     release, doubt = takes(anna.signs(data, NOW + 3600.5), NOW + DAY)
     assert (release.by, release.at, doubt) == ("anna", NOW + 3600.0, "")
-    short = bundle.contents(data).digest.hex()[:12]
+    short = bundle.contents(data).digest.hex()[:16]
     assert str(release) == f"{short}, signed by anna 2026-11-23 21:00 UTC"
     assert str(bundle.decode(anna.signs(data)).release) == f"{short}, not signed"
     assert str(FROM_FILES) == "no bundle"
@@ -195,4 +195,4 @@ def test_bytes_that_are_no_signature(data: bytes, takes: Callable[..., Taken]) -
 
 
 def test_a_release_is_short_where_people_compare_it() -> None:
-    assert Release(bytes(range(32))).short == "000102030405"
+    assert Release(bytes(range(32))).short == "0001020304050607"

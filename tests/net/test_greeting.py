@@ -7,8 +7,8 @@ from lfield.authority.judge import Verdict
 from lfield.errors import GreetingError, WireError
 from lfield.net.greeting import Greeting
 from lfield.wire.coordinators import Accepted, Ended
-from lfield.wire.messages import ForeignHello, Hello, Ping, Refuse, Revocations
-from lfield.wire.observing import EmergencyStop, Forget, Pause, Recover, Status, StatusRequest
+from lfield.wire.messages import PROTOCOL, ForeignHello, Hello, Ping, Refuse, Revocations
+from lfield.wire.observing import EmergencyStop, Forget, Pause, Recover, StartRequest, Status, StatusRequest
 
 PROGRAM, DEPLOYMENT, REGISTRY = b"p" * 32, b"d" * 32, b"r" * 32
 HOSTS = ("a", "b", "c")
@@ -99,7 +99,7 @@ def test_who_gives_commands_is_no_host(who, name):
 
 
 STOP, LIFT, PAUSE, RESUME = EmergencyStop("fire"), EmergencyStop("", True), Pause(), Pause(True)
-OPERATING = [LIFT, RESUME, Forget("tom"), Recover("tom", 1, 1, 1)]
+OPERATING = [LIFT, RESUME, Forget("tom"), Recover("tom", 1, 1, 1), StartRequest(["b"])]
 TABLE = [(StatusRequest(), Right.OBSERVE), (STOP, Right.STOP), (PAUSE, Right.STOP)]
 TABLE += [(message, Right.OPERATE) for message in OPERATING]
 
@@ -132,7 +132,7 @@ def test_two_bundles_of_one_program_do_not_link():
     machine = Greeting(ours, host("b"), hosts=HOSTS)
     why = refused(machine, theirs)
     assert why.startswith(
-        "a runs bundle 313131313131 and b runs bundle 323232323232: copy one of the two to both"
+        "a runs bundle 3131313131313131 and b runs bundle 3232323232323232: copy one of the two to both"
     )
     assert "--devices" in why
     # Of files there is no bundle that others could have, and who gives commands runs none.
@@ -143,9 +143,17 @@ def test_two_bundles_of_one_program_do_not_link():
     assert refused(Greeting(LOOK, host("b"), dialled="b"), theirs) == ""
 
 
-def test_another_program_is_named_before_another_bundle():
+def test_both_bundles_are_named_also_where_their_programs_differ():
     ours, theirs = hello("a", bundle=b"1" * 32), hello("b", bundle=b"2" * 32, program=b"q" * 32)
-    assert "the same program file" in refused(Greeting(ours, host("b"), hosts=HOSTS), theirs)
+    machine = Greeting(ours, host("b"), hosts=HOSTS)
+    assert refused(machine, theirs).startswith(
+        "a runs bundle 3131313131313131 and b runs bundle 3232323232323232, which differ in their program"
+    )
+    assert machine.refused_bundle == b"2" * 32
+    # A host that has built its bundle of files shows which one that is; the parts decide.
+    built = hello("b", built=b"3" * 32, program=b"q" * 32)
+    assert "b runs bundle 3333333333333333, which" in refused(Greeting(ours, host("b"), hosts=HOSTS), built)
+    assert refused(Greeting(ours, host("b"), hosts=HOSTS), hello("b", built=b"3" * 32)) == ""
 
 
 def test_who_may_nothing_at_a_door_does_not_even_hear_a_greeting():
@@ -197,8 +205,11 @@ def test_the_same_life_may_have_a_second_link():
 @pytest.mark.parametrize(
     ("message", "sentence"),
     [
-        (ForeignHello(8), "a speaks protocol 7 and its peer protocol 8; install the same version"),
-        (ForeignHello(3), "a speaks protocol 7 and its peer protocol 3; install the same version"),
+        (
+            ForeignHello(PROTOCOL + 1),
+            f"peer protocol {PROTOCOL + 1}; install the same version",
+        ),
+        (ForeignHello(3), f"a speaks protocol {PROTOCOL} and its peer protocol 3; install the same version"),
         (hello(program=b"q" * 32), "a has program 707070707070 and b has program 717171717171"),
         (hello(deployment=b"q" * 32), "a has deployment 646464646464 and b has deployment 7171"),
         (hello(registry=b"q" * 32), "a has registry 727272727272 and b has registry 7171"),

@@ -210,6 +210,30 @@ def test_one_team_is_looked_at_whatever_others_say_they_run():
         only_party(parties_of([ONE, TWO]))
 
 
+NAMES_BY_ADDRESS = [
+    ({"bravo": "localhost:9"}, {"alpha": "localhost:8181"}),
+    ({"alpha": "0.0.0.0:8181", "bravo": "10.0.0.2:9"}, {"alpha": "10.0.0.2:8181", "bravo": "0.0.0.0:9"}),
+    ({}, {}),
+]
+
+
+@pytest.mark.parametrize(("of_one", "of_other"), NAMES_BY_ADDRESS)
+def test_hosts_of_a_team_that_run_here_one_by_one_are_one_team(of_one, of_other):
+    """Each run knows the other's host by another address, as in `--map bravo=localhost:9`."""
+    one, other = run("tour-00000001", "alpha", **of_one), run("tour-00000002", "bravo", **of_other)
+    party = only_party(parties_of([one, other]))
+    assert party.addresses == {
+        "alpha": "unix:/run/tour-00000001/alpha.sock",
+        "bravo": "unix:/run/tour-00000002/bravo.sock",
+    }
+
+
+def test_a_host_that_runs_here_twice_makes_two_teams():
+    twice = [run("tour-00000001", "alpha", bravo="localhost:9"), run("tour-00000002", "alpha", "bravo")]
+    with pytest.raises(UsageError):
+        only_party(parties_of(twice))
+
+
 def test_no_file_is_opened_since_another_user_names_it(tmp_path):
     """It may be a fifo, which waits for ever."""
     fifo = tmp_path / "mission\x1b[31m.dL"

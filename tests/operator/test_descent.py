@@ -62,7 +62,7 @@ def test_a_device_that_does_not_come_to_rest_in_its_time():
     assert not made.over
     look(made, 110.0, status("descends"))
     assert made.over
-    assert wrong(made) == ["NOT AT REST after 10 s; last seen: descends"]
+    assert wrong(made) == ["NOT AT REST after 10 s; last seen 0 s ago: descends"]
 
 
 def test_a_device_that_was_not_confirmed_in_time_is_well_once_it_is_seen_at_rest():
@@ -80,7 +80,7 @@ def test_what_a_silent_device_was_heard_doing_is_not_what_it_does(moving):
     assert look(made, 104.5, status(moving, silent=3.5)) == ["not heard any more"]
     assert not made.over
     look(made, 110.0, status(moving, silent=9.0))
-    assert wrong(made) == ["NOT AT REST after 10 s: not heard any more; last seen: descends"]
+    assert wrong(made) == ["NOT AT REST after 10 s: not heard any more; last seen 9 s ago: descends"]
 
 
 def test_what_was_heard_before_the_stop_is_no_news_of_it():
@@ -91,6 +91,15 @@ def test_what_was_heard_before_the_stop_is_no_news_of_it():
     assert look(made, 101.0, status(silent=0.2)) == ["at rest"]
     never_told = descent()
     assert look(never_told, 100.0, status(silent=None)) == ["at rest"]
+
+
+def test_a_device_that_fell_silent_before_the_stop_was_seen_then():
+    """Its telemetry of before the stop proves no rest, and says where to look for it."""
+    made = descent("its safe state was not confirmed in 5 s")
+    look(made, 101.0, status("descends", silent=61.0))
+    assert look(made, 110.0, status("descends", silent=70.0)) == []
+    (sentence,) = wrong(made)
+    assert sentence.endswith("; last seen 70 s ago: height 2.50"), sentence
 
 
 def test_a_device_in_use_is_not_at_rest():
@@ -109,7 +118,7 @@ def test_a_host_that_ends_before_its_devices_were_seen_at_rest():
     assert look(made, 102.0, NobodyListens("10.0.0.1:1")) == ["its host has ended"]
     assert made.over
     assert made.places == set()
-    assert wrong(made) == ["NOT SEEN AT REST: its host has ended before; last seen: descends"]
+    assert wrong(made) == ["NOT SEEN AT REST: its host has ended before; last seen 1 s ago: descends"]
 
 
 def test_a_host_that_ends_after_they_were():
@@ -133,7 +142,7 @@ def test_a_host_that_does_not_answer_is_asked_again():
     look(made, 110.0, late)
     assert wrong(made) == [
         "NOT AT REST after 10 s: its host does not answer: cannot use 10.0.0.1:1: no answer within 2 s; "
-        "last seen: descends"
+        "last seen 9 s ago: descends"
     ]
     look(made, 110.5, status())
     assert wrong(made) == []

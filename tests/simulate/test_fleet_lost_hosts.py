@@ -142,6 +142,7 @@ def test_a_host_that_has_ended_for_certain_is_not_waited_for(tmp_path):
 
 
 def test_a_host_that_nobody_has_met_is_waited_for_once(tmp_path):
+    (tmp_path / "mission.devices.yaml").write_text("start: {without: [bravo]}\n")
     twice = CALL.replace('"threw', '"first') + CALL
     fleet = fleet_of(tmp_path, "0.1", twice, re.sub(r'print\("met .*', "", PROGRAM))
     fleet.crash("bravo")

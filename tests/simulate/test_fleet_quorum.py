@@ -169,6 +169,7 @@ def test_without_a_majority_nobody_acts_and_with_one_all_goes_on(tmp_path: Path)
 
 
 def test_a_coordinator_does_not_start_without_a_majority(tmp_path: Path) -> None:
+    (tmp_path / "mission.devices.yaml").write_text("start: {without: [bravo]}\n")
     fleet = Fleet(mission(tmp_path), 7)
     for name in ("bravo", "charlie"):
         fleet.cut("alpha", name)

@@ -8,8 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from lfield.errors import NoHome
-from lfield.text.own_folders import own_folder, state_folder
+from lfield.authority.folder import own_settings
+from lfield.errors import NoHome, OutputFileError
+from lfield.text.own_folders import cache_folder, own_folder, state_folder
 
 
 @pytest.mark.parametrize(
@@ -46,3 +47,37 @@ def test_a_service_needs_no_home(monkeypatch):
     monkeypatch.setenv("STATE_DIRECTORY", "/var/lib/lfield:/var/lib/other")
     monkeypatch.setenv("HOME", "")
     assert state_folder() == Path("/var/lib/lfield")
+
+
+_FOLDERS = {
+    "XDG_STATE_HOME": state_folder,
+    "XDG_CACHE_HOME": cache_folder,
+    "XDG_CONFIG_HOME": lambda: own_settings(os.environ),
+}
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root can make a link that belongs to another user")
+@pytest.mark.parametrize("variable", _FOLDERS)
+def test_a_link_of_another_user_is_not_followed(monkeypatch, tmp_path, variable):
+    """In a base folder that others may write to, such as /tmp, another user may have made it first."""
+    target = tmp_path / "sources"
+    target.mkdir(mode=0o700)
+    link = tmp_path / "lfield"
+    link.symlink_to(target)
+    os.chown(link, 54321, 54321, follow_symlinks=False)
+    monkeypatch.delenv("STATE_DIRECTORY", raising=False)
+    monkeypatch.setenv(variable, str(tmp_path))
+    with pytest.raises(OutputFileError) as refused:
+        _FOLDERS[variable]()
+    assert refused.value.path == str(link)
+    assert list(target.iterdir()) == []
+
+
+@pytest.mark.parametrize("variable", _FOLDERS)
+def test_a_link_of_this_user_is_followed(monkeypatch, tmp_path, variable):
+    target = tmp_path / "disk"
+    target.mkdir(mode=0o700)
+    (tmp_path / "lfield").symlink_to(target)
+    monkeypatch.delenv("STATE_DIRECTORY", raising=False)
+    monkeypatch.setenv(variable, str(tmp_path))
+    assert _FOLDERS[variable]() == target

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import asyncio
+import math
 from collections.abc import Callable
 
 from lfield.driver import DeviceError
+from lfield.driver.network import Attempts
 from lfield_can.bus.connection import open_connection
 from lfield_can.bus.endpoint import parse_endpoint
 from lfield_can.bus.frames import BUS_OFF, Frame, Interface, Listener, error_words
@@ -15,6 +17,8 @@ from lfield_can.bus.socketcand import open_socketcand
 FIRST_RETRY, LAST_RETRY = 0.2, 2.0
 #: Seconds between two notes about error frames.
 QUIET_TIME = 10.0
+#: Seconds after which a bus that was opened again works.
+STEADY = 2.0
 
 
 class Bus:
@@ -27,6 +31,8 @@ class Bus:
         self._note = note
         self._interface: Interface | None = None
         self._reopening: asyncio.Task[None] | None = None
+        self._attempts = Attempts(self._place.text)
+        self._opened_at, self._pause = -math.inf, FIRST_RETRY
         self._told = -QUIET_TIME
         self._errors_told = 0
 
@@ -84,18 +90,27 @@ class Bus:
         interface, self._interface = self._interface, None
         if interface is None:
             return
-        self._note(f"{self._place.text} is lost: {reason}")
+        if self._loop.time() - self._opened_at > STEADY:
+            self._attempts.works()
+        self._log(self._attempts.lost(reason, self._loop.time()))
         self._reopening = self._loop.create_task(self._reopen(interface))
 
     async def _reopen(self, broken: Interface) -> None:
         """Close what is broken, then try until it works."""
         await broken.close()
-        pause = FIRST_RETRY
+        # An interface that is down opens, and fails as soon as it is read: then the pauses go on to grow.
+        if self._loop.time() - self._opened_at > STEADY:
+            self._pause = FIRST_RETRY
         while self._interface is None:
-            await asyncio.sleep(pause)
-            pause = min(2.0 * pause, LAST_RETRY)
+            await asyncio.sleep(self._pause)
+            self._pause = min(2.0 * self._pause, LAST_RETRY)
             try:
                 await self.open()
-            except DeviceError:
-                continue
-        self._note(f"{self._place.text} is open again")
+            except DeviceError as error:
+                self._log(self._attempts.failed(error.reason, self._loop.time()))
+        self._opened_at = self._loop.time()
+        self._log(self._attempts.opened("", self._loop.time()))
+
+    def _log(self, line: str) -> None:
+        if line:
+            self._note(line)

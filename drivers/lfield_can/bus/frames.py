@@ -13,6 +13,12 @@ from typing import NamedTuple, Protocol
 EXTENDED = 1 << 31
 
 
+#: Set in the key of a parameter group of SAE J1939, which no id of a frame has.
+_GROUP = 1 << 30
+#: Below this PDU format the next byte of an id is an address, and no part of the group (SAE J1939-21, 5.1.2).
+_BROADCAST_FORMATS = 0xF0
+
+
 class Frame(NamedTuple):
     """One data frame: an id of 11 bits, or of 29 when `extended`, and up to 8 bytes, or 64 when `fd`."""
 
@@ -25,6 +31,14 @@ class Frame(NamedTuple):
     def key(self) -> int:
         """What frames are dispatched by."""
         return self.id | EXTENDED if self.extended else self.id
+
+
+def group_of(identifier: int) -> int:
+    """The key of the J1939 parameter group of an id of 29 bits: without priority and addresses."""
+    group = identifier >> 8 & 0x3FFFF
+    if group >> 8 & 0xFF < _BROADCAST_FORMATS:
+        group &= 0x3FF00
+    return EXTENDED | _GROUP | group
 
 
 #: Error classes in the id of an error frame (linux/can/error.h); what they say about the bus.

@@ -11,6 +11,7 @@ import socket
 from typing import cast
 
 from lfield.driver import DeviceError
+from lfield.driver.network import Lookup, keep_alive
 from lfield_can.bus.endpoint import Place
 from lfield_can.bus.frames import GONE, Frame, Listener
 
@@ -26,24 +27,37 @@ STANDARD, EXTENDED = 3, 8
 STANDARD_ID, EXTENDED_ID = 0x7FF, 0x1FFFFFFF
 #: Bytes of data in a frame that is not of CAN FD.
 LONGEST_DATA = 8
+#: By host and port: a name that hangs while it is resolved is not asked for a second time meanwhile.
+_lookups: dict[tuple[str, int], Lookup] = {}
 
 
 async def open_socketcand(place: Place, listener: Listener) -> Socketcand:
     """Connect and open the bus of an endpoint. Raises DeviceError."""
     assert place.server is not None
-    client = Socketcand(listener)
+    lookup = _lookups.setdefault(place.server, Lookup(*place.server, socket.SOCK_STREAM))
     try:
-        async with asyncio.timeout(ANSWER):
-            await asyncio.get_running_loop().create_connection(lambda: client, *place.server)
-            await client.greet(str(place.arguments["channel"]))
-    except TimeoutError:
-        reason = "timed out"
+        found = await lookup.addresses(ANSWER)
     except OSError as error:
-        reason = error.strerror or str(error)
-    else:
-        return client
-    await client.close()
-    raise DeviceError("endpoint", f"cannot open {place.text}: {reason}")
+        raise _cannot_open(place, error.strerror or str(error)) from None
+    reasons: dict[str, None] = {}
+    for _, address in found:
+        client = Socketcand(listener)
+        try:
+            async with asyncio.timeout(ANSWER):
+                await client.connect(str(address[0]), place.server[1])
+                await client.greet(str(place.arguments["channel"]))
+        except TimeoutError:
+            reasons["timed out"] = None
+        except OSError as error:
+            reasons[error.strerror or str(error)] = None
+        else:
+            return client
+        await client.close()
+    raise _cannot_open(place, "; ".join(reasons))
+
+
+def _cannot_open(place: Place, reason: str) -> DeviceError:
+    return DeviceError("endpoint", f"cannot open {place.text}: {reason}")
 
 
 class Socketcand(asyncio.Protocol):
@@ -58,6 +72,10 @@ class Socketcand(asyncio.Protocol):
         self._transport: asyncio.Transport | None = None
         self._unread = b""
         self._answers: asyncio.Queue[bytes] | None = asyncio.Queue()
+
+    async def connect(self, host: str, port: int) -> None:
+        """Connect to a server. Raises OSError."""
+        await asyncio.get_running_loop().create_connection(lambda: self, host, port)
 
     async def greet(self, channel: str) -> None:
         """Open a bus and have all its frames. Raises ConnectionError."""
@@ -109,7 +127,10 @@ class Socketcand(asyncio.Protocol):
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         """It is connected."""
         self._transport = cast(asyncio.Transport, transport)  # uvloop's is no subclass of it
-        transport.get_extra_info("socket").setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, BACKLOG)
+        connection = transport.get_extra_info("socket")
+        connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, BACKLOG)
+        # A bus may be silent for ever, and the protocol has no heartbeat.
+        keep_alive(connection)
 
     def connection_lost(self, exc: Exception | None) -> None:
         """The server has hung up, unless we have."""
@@ -119,7 +140,8 @@ class Socketcand(asyncio.Protocol):
         if self._answers is not None:
             self._answers.put_nowait(b"nothing")
         else:
-            self._listener.lost("the other end has hung up")
+            reason = getattr(exc, "strerror", None) or (str(exc) if exc else "the other end has hung up")
+            self._listener.lost(reason)
 
     def data_received(self, data: bytes) -> None:
         """A part of the stream of messages, each between < and >."""

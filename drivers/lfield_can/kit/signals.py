@@ -30,7 +30,16 @@ async def reads(bench: Bench) -> str:
         ]
     if not heard:
         raise CheckFailed(f"none of its messages was heard: {', '.join(silent)}")
-    told = [f"{signal} {await bench.call('read', signal):g}" for signal in heard]
+    told, absent = [], []
+    for signal in heard:
+        try:
+            told.append(f"{signal} {await bench.call('read', signal):g}")
+        except DeviceError:
+            absent.append(signal)
+    if not told:
+        raise CheckFailed(f"none of its signals can be read: {', '.join(absent)}")
+    if absent:
+        told.append(f"and absent from its frames {' '.join(absent)}")
     if silent:
         told.append(f"and never heard {' '.join(silent)}")
     return ", ".join(told)

@@ -55,6 +55,8 @@ class AxisProtocol:
         self.node: int = wiring.binding.option("node")
         self.state = AxisState()
         self.needs_setup = False
+        #: Why there are two devices with this id, in words; '' where no second one is seen.
+        self.conflict = ""
         sign = -1.0 if wiring.binding.option("reversed") else 1.0
         #: Turns of the motor for one radian of the axis.
         self.turns: float = sign * wiring.binding.option("gear") / math.tau

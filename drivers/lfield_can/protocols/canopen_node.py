@@ -7,21 +7,31 @@ encoding of values are `canopen`'s.
 from __future__ import annotations
 
 import asyncio
+import struct
 from collections.abc import Callable, Sequence
+from contextlib import suppress
+from pathlib import Path
 
 import canopen
 from canopen.objectdictionary import ODArray, ODRecord, ODVariable
 from canopen.sdo.exceptions import SdoAbortedError
 
-from lfield.driver import DeviceError
+from lfield.driver import DeviceError, read_within
 from lfield_can.bus.frames import Frame
+from lfield_can.eds import parse_eds
+from lfield_can.files import tell_warnings
 from lfield_can.protocols.cia402_tables import OBJECTS, SDO_REQUEST, name_of
-from lfield_can.protocols.sdo import ABORT, Done, Effect, Failed, Refused, Result, SdoClient, Send
+from lfield_can.protocols.conflict import GAP, RollCall
+from lfield_can.protocols.sdo import ABORT, Done, Effect, Failed, Key, Refused, Result, SdoClient, Send
 
 #: The request for object 0x1000.
 PING = bytes.fromhex("4000100000000000")
+#: The largest EDS file, in bytes.
+MOST_BYTES = 16 << 20
 #: Abort codes that say that there is no such object, or that it cannot be written.
 ABSENT = frozenset({0x06020000, 0x06090011, 0x060A0023, 0x06010002, 0x06010000, 0x08000024})
+
+Note = Callable[[str], None]
 
 
 class SdoRefused(DeviceError):
@@ -41,13 +51,13 @@ class CanopenNode:
         self._client, self._turn = SdoClient(), asyncio.Lock()
         self._result: asyncio.Future[Result] | None = None
         self._timer: asyncio.TimerHandle | None = None
-        self._requests = self._answers = 0
+        self._roll_call: RollCall | None = None
         #: Called with every object that was written, and its bytes.
         self.on_written: Callable[[int, int, bytes], None] = lambda index, subindex, data: None
 
-    def load(self, path: str) -> None:
-        """Take the objects from an EDS file. Raises DeviceError."""
-        self._dictionary = read_eds(self._name, path, self._id)
+    def load(self, path: str, note: Note) -> None:
+        """Take the objects from an EDS file; `note` is told what of it is not used. Raises DeviceError."""
+        self._dictionary = read_eds(self._name, path, self._id, note)
 
     def ping(self) -> None:
         """Ask for the device type and do not wait for the answer.
@@ -58,7 +68,8 @@ class CanopenNode:
 
     def on_answer(self, data: bytes) -> None:
         """A frame of the node's SDO server."""
-        self._answers += 1
+        if self._roll_call is not None and (key := _key_of(data)) is not None:
+            self._roll_call.on_answer(key)
         self._do(self._client.answered(data))
 
     async def read(self, index: int, subindex: int = 0) -> int:
@@ -98,10 +109,17 @@ class CanopenNode:
         """Whether the object dictionary has the object."""
         return self._find(index, subindex) is not None
 
-    @property
-    def doubled(self) -> bool:
-        """Whether more answers came than were asked for: two nodes have this id."""
-        return self._answers > self._requests
+    async def is_doubled(self) -> bool:
+        """Whether two nodes answer to this id: a few questions, a fraction of a second."""
+        self._roll_call = roll_call = RollCall()
+        try:
+            while (key := roll_call.next_key()) is not None:
+                with suppress(DeviceError):  # it has no such object, or the answer was lost
+                    await self.read_raw(*key)
+                await asyncio.sleep(GAP)
+        finally:
+            self._roll_call = None
+        return roll_call.is_doubled
 
     def close(self) -> None:
         """The driver ends: what is under way gets no answer."""
@@ -140,7 +158,8 @@ class CanopenNode:
             self._send(effect.data)
 
     def _send(self, request: bytes) -> None:
-        self._requests += request[0] != ABORT
+        if self._roll_call is not None and request[0] != ABORT and (key := _key_of(request)) is not None:
+            self._roll_call.on_request(key)
         self._post(Frame(SDO_REQUEST + self._id, request))
 
     def _end(self, result: Result) -> None:
@@ -182,6 +201,14 @@ class CanopenNode:
         return f"{name_of(index, subindex)} 0x{index:04X}:{subindex}"
 
 
+def _key_of(frame: bytes) -> Key | None:
+    """Which object a frame of either side is about, where it says so."""
+    if len(frame) != 8:
+        return None
+    _, index, subindex = struct.unpack_from("<BHB", frame)
+    return index, subindex
+
+
 def standard_dictionary() -> canopen.ObjectDictionary:
     """The objects of `OBJECTS`, for drives without an EDS file."""
     dictionary = canopen.ObjectDictionary()  # type: ignore[no-untyped-call]  # canopen types a part of itself
@@ -199,10 +226,16 @@ def standard_dictionary() -> canopen.ObjectDictionary:
     return dictionary
 
 
-def read_eds(name: str, path: str, node: int) -> canopen.ObjectDictionary:
-    """The object dictionary of an EDS file. Raises DeviceError."""
+def read_eds(name: str, path: str, node: int, note: Note = lambda text: None) -> canopen.ObjectDictionary:
+    """The object dictionary of an EDS file; `note` is told what of it is not used. Raises DeviceError."""
     try:
-        return canopen.import_od(path, node)
-    except Exception as error:  # whatever a parser of foreign text raises
-        words = str(error).splitlines()[:1] or [type(error).__name__]
-        raise DeviceError(name, f"{path} is not an EDS file that can be read: {words[0]}") from None
+        if Path(path).suffix.lower() == ".epf":
+            return canopen.import_od(path, node)
+        dictionary, warnings = parse_eds(path, read_within(Path(path), MOST_BYTES))
+    except Exception as error:  # OSError, EdsError, and whatever the parser of EPF raises
+        words = getattr(error, "strerror", None) or str(error) or type(error).__name__
+        raise DeviceError(
+            name, f"{path} is not an EDS file that can be read: {words.splitlines()[0]}"
+        ) from None
+    tell_warnings(warnings, path, note)
+    return dictionary

@@ -171,7 +171,7 @@ class Cia402Node(AxisProtocol):
     def prepare(self) -> None:
         """Read the EDS file."""
         if path := self.binding.option("eds"):
-            self.objects.load(path)
+            self.objects.load(path, self.wiring.note)
 
     def call(self) -> None:
         """Ask for the device type: a node need not have heartbeats before it is set up."""
@@ -182,6 +182,10 @@ class Cia402Node(AxisProtocol):
         node, note, error = self.objects, self.wiring.note, self.wiring.error
         self.configured = False
         identity = await setting.identify(node, error)
+        self.conflict = ""
+        if await node.is_doubled():
+            self.conflict = f"two devices answer to this node id ({self.node}); give each its own"
+            raise error(self.conflict)
         # Some drives change their process data only before they are operational (CiA 301, 7.3.2.2).
         await self.bus.send(Frame(t.NMT, bytes([t.NMT_PREPARE, self.node])))
         await setting.set_heartbeat(node, error)

@@ -23,13 +23,11 @@ Note = Callable[[str], None]
 
 
 async def identify(node: CanopenNode, error: Callable[[str], DeviceError]) -> str:
-    """Who it is. Raises DeviceError when it is no drive, or when two answer."""
+    """Who it is. Raises DeviceError when it is no drive."""
     kind = await node.read(0x1000)
     if kind & 0xFFFF != DRIVE_PROFILE:
         raise error(f"it is no CiA 402 drive: its device type 0x1000 is 0x{kind:08X}")
     vendor, product = await optional(node, 0x1018, 1), await optional(node, 0x1018, 2)
-    if node.doubled:
-        raise error("two devices answer to this node id; give each its own")
     return f"vendor 0x{vendor or 0:X}, product 0x{product or 0:X}"
 
 

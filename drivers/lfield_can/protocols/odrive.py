@@ -10,6 +10,7 @@ from lfield.driver import DeviceError
 from lfield_can.bus.frames import Frame
 from lfield_can.protocols import odrive_tables as t
 from lfield_can.protocols.axis_protocol import AxisProtocol, Wiring
+from lfield_can.protocols.conflict import WITHIN, Alternation
 
 #: Seconds for a change of state to show, and for a homing.
 STEP, HOMED = 1.0, 120.0
@@ -28,6 +29,7 @@ class Odrive(AxisProtocol):
         super().__init__(wiring)
         self._axis_state: int | None = None
         self._errors = 0
+        self._alternation = Alternation()
         self._mode: tuple[int, int] | None = None
         #: Whether it was told to hold the position where it stands.
         self._holds = False
@@ -78,6 +80,7 @@ class Odrive(AxisProtocol):
 
     def _on_numbers(self, command: int, first: float, second: float) -> dict[str, object]:
         if command == t.ESTIMATES:
+            self._look_for_another(first, second)
             self.state.position, self.state.velocity = first / self.turns, second / self.turns
             return {"position": self.state.position, "velocity": self.state.velocity}
         if command == t.IQ:
@@ -87,6 +90,18 @@ class Odrive(AxisProtocol):
         if command == t.BUS_VOLTAGE:
             return {"voltage": first}
         return {"torque": second * self.turns * math.tau}
+
+    def _look_for_another(self, position: float, velocity: float) -> None:
+        """See whether estimates of two axes come under this id."""
+        now = self.wiring.clock.monotonic()
+        self._alternation.on_position(position, velocity, now)
+        if self._alternation.is_proved(now):
+            self.conflict = (
+                f"two axes have node id {self.node}: its position alternates between two places; "
+                "give each its own"
+            )
+        elif self.conflict and now - self._alternation.last_return > WITHIN:
+            self.conflict = ""
 
     def silent(self) -> None:
         """Not heard for too long."""
@@ -111,6 +126,8 @@ class Odrive(AxisProtocol):
             FIRST,
             "it sent no heartbeat or no encoder estimates",
         )
+        if self.conflict:
+            raise self.wiring.error(self.conflict)
         speed, current = self.limit("speed"), self.limit("current")
         if speed is not None and current is not None:
             await self._command(t.SET_LIMITS, abs(speed * self.turns), current)

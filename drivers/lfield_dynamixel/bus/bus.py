@@ -15,7 +15,7 @@ from itertools import count
 from typing import Protocol
 
 from lfield.driver.serial import PortEvents
-from lfield_dynamixel.bus.packets import AnyProtocol, Reader, Status
+from lfield_dynamixel.bus.packets import AnyProtocol, EchoFilter, Reader, Status, harmless
 
 #: Seconds that a servo and this computer may take beyond what the wire needs.
 SLACK = 0.025
@@ -45,7 +45,10 @@ MakePort = Callable[[PortEvents], Port]
 
 @dataclass(slots=True)
 class Exchange:
-    """A packet, who is to answer it (nobody: empty), and what has come so far."""
+    """A packet, who is to answer it (nobody: empty), and what has come so far.
+
+    One that `listens` takes in every byte until its time is over.
+    """
 
     packet: bytes
     numbers: tuple[int, ...]
@@ -53,7 +56,10 @@ class Exchange:
     seconds: float
     reader: Reader
     done: asyncio.Future[list[Status]]
+    listens: bool = False
     answers: list[Status] = field(default_factory=list)
+    heard: bytes = b""
+    sent: bool = False
 
     def take(self, status: Status) -> None:
         """Keep an answer of one who was asked, if it has the bytes that were asked for or says why not.
@@ -74,15 +80,23 @@ class Bus:
     """The exchanges on one port. `on_lost` and `on_back` tell what becomes of the port."""
 
     def __init__(
-        self, make_port: MakePort, on_lost: Callable[[str], None], on_back: Callable[[], None]
+        self,
+        make_port: MakePort,
+        on_lost: Callable[[str], None],
+        on_back: Callable[[], None],
+        on_echo: Callable[[], None] = lambda: None,
     ) -> None:
         self._make_port = make_port
         self._port: Port | None = None
-        self._on_lost, self._on_back = on_lost, on_back
+        self._on_lost, self._on_back, self._on_echo = on_lost, on_back, on_echo
         self._waiting: list[tuple[int, int, Exchange]] = []
         self._order = count()
         self._current: Exchange | None = None
         self._timer: asyncio.TimerHandle | None = None
+        #: Takes out what the adapter returns of what is sent, if it does; None until that is known.
+        self._echo: EchoFilter | None = None
+        self._echoes = False
+        self._search = asyncio.Lock()
         self.gone = ""
 
     def open(self) -> None:
@@ -110,12 +124,56 @@ class Bus:
         `numbers` are the ids that are to answer; the broadcast id stands for the one packet that answers a
         fast sync read. Raises nothing: a port that is gone gives no answers.
         """
+        if self._echo is None:
+            await self._look_for_echo(protocol, urgency)
+        exchange = self._exchange(protocol, packet, numbers, size)
+        return await self._carried_out(exchange, urgency)
+
+    async def listen(
+        self, protocol: AnyProtocol, packet: bytes, size: int, *, urgency: int = COMMAND
+    ) -> bytes:
+        """Send a packet and return every byte that comes in the time that two answers of `size` take.
+
+        What an adapter returns of the packet itself is taken out. Raises nothing.
+        """
+        if self._echo is None:
+            await self._look_for_echo(protocol, urgency)
+        exchange = self._exchange(protocol, packet, (0, 0), size, listens=True)
+        await self._carried_out(exchange, urgency)
+        return exchange.heard
+
+    async def _look_for_echo(self, protocol: AnyProtocol, urgency: int) -> None:
+        """Send what nobody answers, and see whether it comes back: an adapter may return what is sent.
+
+        In protocol 1.0 an instruction looks like an answer, so this must be known before anybody is asked.
+        """
+        async with self._search:
+            if self._echo is not None or self.gone:
+                return
+            exchange = self._exchange(protocol, harmless(protocol), (0,), 0, listens=True)
+            await self._carried_out(exchange, urgency)
+            if exchange.sent and not self.gone:
+                self._echo, self._echoes = EchoFilter(), exchange.packet in exchange.heard
+                if self._echoes:
+                    self._on_echo()
+
+    def _exchange(
+        self,
+        protocol: AnyProtocol,
+        packet: bytes,
+        numbers: tuple[int, ...],
+        size: int,
+        *,
+        listens: bool = False,
+    ) -> Exchange:
         assert self._port is not None, "the bus is opened first"
-        loop = asyncio.get_running_loop()
         answer = (protocol.overhead + size) * len(numbers)
         on_wire = 10.0 * (len(packet) + answer) / self._port.baud
         late = 2.0 * self._port.latency + SLACK if numbers else 0.0
-        exchange = Exchange(packet, numbers, size, on_wire + late, protocol.reader(), loop.create_future())
+        done = asyncio.get_running_loop().create_future()
+        return Exchange(packet, numbers, size, on_wire + late, protocol.reader(), done, listens)
+
+    async def _carried_out(self, exchange: Exchange, urgency: int) -> list[Status]:
         heapq.heappush(self._waiting, (urgency, next(self._order), exchange))
         if self._current is None:
             self._next()
@@ -123,8 +181,13 @@ class Bus:
 
     def received(self, data: bytes) -> None:
         """Bytes from the port; what comes while nobody is asked is nobody's answer."""
+        if self._echo is not None and self._echoes:
+            data = self._echo.strip(data)
         current = self._current
         if current is None:
+            return
+        if current.listens:
+            current.heard += data
             return
         for status in current.reader.feed(data):
             current.take(status)
@@ -132,8 +195,8 @@ class Bus:
             self._finish()
 
     def lost(self, reason: str) -> None:
-        """The port has gone."""
-        self.gone = reason
+        """The port has gone; another adapter may come back."""
+        self.gone, self._echo = reason, None
         self._abandon()
         self._on_lost(reason)
 
@@ -157,11 +220,13 @@ class Bus:
             if exchange.done.done():
                 continue
             self._current = exchange
-            sent = self._port is not None and self._port.write(exchange.packet)
+            if self._echo is not None:
+                self._echo.on_sent(exchange.packet)
+            exchange.sent = self._port is not None and self._port.write(exchange.packet)
             # A port that fails while it is written has abandoned this exchange already.
             if self._current is exchange:
                 self._timer = asyncio.get_running_loop().call_later(
-                    exchange.seconds if sent else 0.0, self._finish
+                    exchange.seconds if exchange.sent else 0.0, self._finish
                 )
 
     def _finish(self) -> None:

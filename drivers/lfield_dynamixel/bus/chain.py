@@ -30,6 +30,12 @@ from lfield_dynamixel.bus.words import refusal
 TRIES = 5
 #: So many fast reads in a row that fail while plain ones work: some servo here does not know them.
 FAST_FAILURES = 3
+#: After so many plain ones a fast one is tried again: it may have been a servo that is gone, or the port.
+FAST_AGAIN = 200
+
+#: Rounds of a roll call: with one answer each after which there is one servo, with two answers that prove a
+#: second one, and at most.
+FEWEST_ROUNDS, PROOF, MOST_ROUNDS = 4, 3, 12
 
 _PING_BYTES = {1: 0, 2: 3}
 
@@ -75,7 +81,7 @@ class Chain:
     def __init__(self, bus: Bus) -> None:
         self._bus = bus
         self._doubted: set[int] = set()
-        self._fast_failures = 0
+        self._fast_failures = self._plain_reads = 0
 
     async def ping(self, node: Node, *, urgency: int = COMMAND) -> bytes | None:
         """Ask a servo whether it is there: the data of its answer (2.0: model and firmware), or None."""
@@ -103,6 +109,31 @@ class Chain:
         """Write without waiting for an answer: for a servo that is set to give none."""
         packet = node.codec.encode(node.number, INST_WRITE, node.place(start) + data)
         await self._bus.exchange(node.codec, packet, (), 0)
+
+    async def roll_call(self, node: Node, start: int, size: int, *, urgency: int = COMMAND) -> str:
+        """Why two servos seem to have an id, in words; '' where one answers.
+
+        Each of two answers every question: one after the other, or both at once, so that what comes is
+        damaged. Answers get lost and lines are noisy, so there are several rounds, and one proves nothing.
+        """
+        packet = node.codec.encode(node.number, INST_READ, node.place(start, size))
+        single = doubled = damaged = 0
+        for _ in range(MOST_ROUNDS):
+            heard = await self._bus.listen(node.codec, packet, size, urgency=urgency)
+            answers = [a for a in node.codec.reader().feed(heard) if a.number == node.number]
+            doubled += len(answers) > 1
+            single += len(answers) == 1
+            damaged += bool(heard) and not answers
+            if doubled >= PROOF:
+                return f"two servos answer to the id {node.number}; give each its own"
+            if single >= FEWEST_ROUNDS + 2 * (doubled + damaged):
+                return ""
+        if damaged > MOST_ROUNDS // 2:
+            return (
+                f"the answers of servo {node.number} come damaged: look whether two servos have this id, "
+                "and at the wires"
+            )
+        return ""
 
     async def reboot(self, node: Node) -> None:
         """Restart a servo. It may answer before it does; whether it came back is to be seen."""
@@ -141,7 +172,8 @@ class Chain:
     ) -> dict[int, Status]:
         """Those that answered a fast sync read, or a plain one where fast ones do not work."""
         numbers = tuple(node.number for node in nodes)
-        fast = self._fast_failures < FAST_FAILURES
+        fast = self._fast_failures < FAST_FAILURES or self._plain_reads >= FAST_AGAIN
+        self._plain_reads = 0 if fast else self._plain_reads + 1
         instruction = INST_FAST_SYNC_READ if fast else INST_SYNC_READ
         codec = nodes[0].codec
         packet = codec.encode(BROADCAST_ID, instruction, nodes[0].place(start, size) + bytes(numbers))

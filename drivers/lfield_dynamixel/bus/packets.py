@@ -9,15 +9,19 @@ of the instruction.
 
 from __future__ import annotations
 
+from collections import deque
 from dataclasses import dataclass
 from typing import Protocol
 
-from dynamixel_sdk.robotis_def import BROADCAST_ID, INST_STATUS, MAX_ID
+from dynamixel_sdk.robotis_def import BROADCAST_ID, INST_STATUS, INST_SYNC_WRITE, MAX_ID
 
 #: A status packet longer than this is noise that looks like one (the SDK's own bound).
 LONGEST = 1024
 #: What is kept of bytes that are no packet yet.
 KEPT = LONGEST + 7
+
+#: Packets whose echo may still come; a packet without answer does not wait for its own.
+MOST_AWAITED = 8
 
 _HEADER = b"\xff\xff\xfd"
 
@@ -192,3 +196,41 @@ class Reader1:
 #: Either protocol: both know `version`, `overhead`, `encode` and `reader`.
 AnyProtocol = type[Protocol1] | type[Protocol2]
 PROTOCOLS: dict[int, AnyProtocol] = {1: Protocol1, 2: Protocol2}
+
+
+def harmless(protocol: AnyProtocol) -> bytes:
+    """A packet that does nothing and has no answer: a sync write to no servo."""
+    return protocol.encode(BROADCAST_ID, INST_SYNC_WRITE, bytes(4 if protocol.version == 2 else 2))
+
+
+class EchoFilter:
+    """Takes the echoes of sent packets out of what comes in.
+
+    Some adapters do not switch their receiver off while they send. In protocol 1.0 an instruction looks like
+    an answer: the ping of servo 1 is, byte for byte, its answer with a voltage error. An echo with a wrong
+    byte is passed on: no checksum fits it, so it is noise for the reader.
+    """
+
+    def __init__(self) -> None:
+        self._awaited: deque[bytes] = deque(maxlen=MOST_AWAITED)
+        self._held = b""
+
+    def on_sent(self, packet: bytes) -> None:
+        """A packet leaves."""
+        self._awaited.append(packet)
+
+    def strip(self, data: bytes) -> bytes:
+        """What of the incoming bytes is no echo; the beginning of one is held back until it is decided."""
+        self._held += data
+        passed = b""
+        while self._awaited:
+            echo = self._awaited[0]
+            if (at := self._held.find(echo)) >= 0:
+                # What stands before it is noise, or the rest of a damaged echo.
+                passed += self._held[:at]
+                self._held = self._held[at + len(echo) :]
+            elif len(self._held) < len(echo):
+                return passed
+            self._awaited.popleft()
+        passed, self._held = passed + self._held, b""
+        return passed

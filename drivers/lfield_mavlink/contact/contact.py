@@ -59,11 +59,12 @@ class Contact(Device):
         self.quiet = False
         #: Set while the vehicle is not heard.
         self.lost = False
-        #: Sends it a message, which may be lost.
-        self.send = send
+        self._send = send
         self.state = VehicleState(binding.option("kind"))
         self._stack: str = binding.option("autopilot")
-        self.exchange = Exchange(self.system, self.station, send, lambda: self.silence <= LINK_LOST)
+        self.exchange = Exchange(
+            self.system, self.station, self.send, lambda: self.silence <= LINK_LOST, self._gate
+        )
         self.texts = Texts()
         self._heard_at, self._opened_at = -math.inf, clock.monotonic()
         # Whether this computer has it: what was in use when it was found is nobody's until somebody acts.
@@ -91,8 +92,25 @@ class Contact(Device):
         """Seconds since its last heartbeat, whatever else it says."""
         return self.clock.monotonic() - (-math.inf if self.state.heard is None else self.state.heard)
 
+    def send(self, message: Any) -> None:
+        """Send it a message, which may be lost; none but questions before it is certain who is there."""
+        if self._may_send(message):
+            self._send(message)
+
+    def _may_send(self, message: Any) -> bool:
+        """Whether a message may go out now."""
+        return True
+
+    async def _gate(self, number: int) -> None:
+        """Wait until a command may go out. Raises DeviceError."""
+
+    def _reconnected(self, reason: str) -> None:
+        """It is heard again after an interruption, and may be another vehicle."""
+
     def heard(self) -> None:
         """Its autopilot has said something, whatever that is, read or not."""
+        if self.silence > LINK_LOST and self._heard_at > -math.inf:
+            self._reconnected(f"{self.silence:.1f} s of silence")
         self._heard_at = self.clock.monotonic()
         super().heard()
 
@@ -125,6 +143,14 @@ class Contact(Device):
         """Raise DeviceError when somebody else has the id of its station."""
         if self.not_alone:
             raise self.error(f"{what} refused: {self.not_alone}")
+
+    @property
+    def conflict(self) -> str:
+        """Which other vehicle has its system id, '' when none has."""
+        return ""
+
+    async def check_alone(self) -> None:
+        """Raise DeviceError when two vehicles have its system id."""
 
     def check_identity(self) -> None:
         """Raise DeviceError when it is another vehicle than the binding says."""

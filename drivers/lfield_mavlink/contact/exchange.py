@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import asyncio
 import math
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable
 from typing import Any, NamedTuple
 
 from lfield_mavlink.geo import Place
@@ -27,10 +27,15 @@ class Answer(NamedTuple):
     attempts: int
 
 
+async def _no_gate(_: int) -> None:
+    """Every command may go out."""
+
+
 class Exchange:
     """The open questions of a station to one vehicle, both by their system ids.
 
-    `send` takes a message, `heard` says whether the vehicle is heard.
+    `send` takes a message, `heard` says whether the vehicle is heard. `gate` is awaited before each command,
+    with its number; it raises DeviceError when it may not go out.
     `px4` is set when the autopilot is known: PX4 wants NaN for what is not used, ArduPilot 0.
     """
 
@@ -40,8 +45,10 @@ class Exchange:
         station: int,
         send: Callable[[Any], None],
         heard: Callable[[], bool] = lambda: False,
+        gate: Callable[[int], Awaitable[None]] = _no_gate,
     ) -> None:
         self.px4, self._station = False, station
+        self._gate = gate
         self._system, self._send, self._heard = system, send, heard
         self._questions: dict[int, _Question] = {}
         self._timer: asyncio.Handle | None = None
@@ -62,6 +69,7 @@ class Exchange:
         for a command that would act twice if only its answer was lost. `patience` is how many seconds an
         answer is waited for each time.
         """
+        await self._gate(number)
         # Acknowledgements are matched by command number, so each number has one question open at a time.
         while (earlier := self._questions.get(number)) is not None:
             await earlier.end()

@@ -35,8 +35,7 @@ _RALLY = _Plan("rally points", "rallyPoints", "setRallyPoints", "clearRallyPoint
 @PLANS.check("a mission is uploaded, read back and cleared", moves=True)
 async def mission(bench: Bench) -> str:
     """Three waypoints around where it stands."""
-    limits = bench.binding.limits
-    far, height = min(FAR, limits.get("radius", math.inf) / 2), min(HEIGHT, limits.get("altitude", math.inf))
+    far, height = _within_limits(bench)
     return await _tried(bench, _MISSION, [(*corner, height) for corner in _around(bench, far, 3)])
 
 
@@ -75,7 +74,14 @@ async def fence(bench: Bench) -> str:
 @PLANS.check("rally points are set, read back and cleared", moves=True)
 async def rally(bench: Bench) -> str:
     """Two, near where it stands."""
-    return await _tried(bench, _RALLY, [(*corner, HEIGHT) for corner in _around(bench, FAR, 2)])
+    far, height = _within_limits(bench)
+    return await _tried(bench, _RALLY, [(*corner, height) for corner in _around(bench, far, 2)])
+
+
+def _within_limits(bench: Bench) -> tuple[float, float]:
+    """Metres from here and above home that the binding allows."""
+    limits = bench.binding.limits
+    return min(FAR, limits.get("radius", math.inf) / 2), min(HEIGHT, limits.get("altitude", math.inf))
 
 
 async def _tried(bench: Bench, plan: _Plan, points: Sequence[tuple[float, float, float]]) -> str:

@@ -34,9 +34,13 @@ class Port:
     writer: Writer
     signing: LinkSigning | None
 
-    def send(self, message: Any, station: int) -> None:
-        """One message as one packet, of the station with this system id."""
-        self.link.send(self.writer.pack(message, station))
+    def send(self, message: Any, station: int, address: str = "") -> None:
+        """One message as one packet of a station, to an address behind the link, or ('') to all."""
+        data = self.writer.pack(message, station)
+        if address:
+            self.link.send_to(data, address)
+        else:
+            self.link.send(data)
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,6 +61,30 @@ class LinkCounts:
             bad_signatures=signing.bad if signing else 0,
             unsigned=sum(port.signing.unsigned for port in ports if port.signing),
         )
+
+
+#: MAV_TYPEs of what has no autopilot of a vehicle, but for cameras and the like, which have other ids.
+_NO_VEHICLES = frozenset(
+    {
+        dialect.MAV_TYPE_GCS,
+        dialect.MAV_TYPE_ONBOARD_CONTROLLER,
+        dialect.MAV_TYPE_GIMBAL,
+        dialect.MAV_TYPE_ADSB,
+        dialect.MAV_TYPE_CAMERA,
+    }
+)
+
+
+def is_foreign(message: Any) -> bool:
+    """Whether a message is the heartbeat of what is no autopilot: a station, a companion computer."""
+    if message.get_msgId() != dialect.MAVLINK_MSG_ID_HEARTBEAT:
+        return False
+    return bool(message.autopilot == dialect.MAV_AUTOPILOT_INVALID or message.type in _NO_VEHICLES)
+
+
+def foreign_words(message: Any) -> str:
+    """`a gcs (MAV_TYPE 6, MAV_AUTOPILOT 8)`."""
+    return f"a {_name('MAV_TYPE', message.type)} (MAV_TYPE {message.type}, MAV_AUTOPILOT {message.autopilot})"
 
 
 class Neighbours:

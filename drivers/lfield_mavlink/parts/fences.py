@@ -7,14 +7,18 @@ PX4: https://docs.px4.io/main/en/flying/geofence.html
 
 from __future__ import annotations
 
+import asyncio
 import math
 from collections.abc import Callable, Mapping
 from typing import Any
 
 from lfield_mavlink.contact.contact import Contact
 from lfield_mavlink.geo import Vector
+from lfield_mavlink.limits import Limits
 from lfield_mavlink.link.dialect import dialect
 from lfield_mavlink.modes import ARDUPILOT, PX4
+from lfield_mavlink.services.mission_check import Situation
+from lfield_mavlink.services.mission_rules import check_rally
 from lfield_mavlink.services.parameters import Parameters
 from lfield_mavlink.services.plan_items import (
     CIRCLES,
@@ -182,7 +186,7 @@ class OwnFence:
         """The height and the radius of a fence by their names; none when it is switched off."""
         if not await self._parameters.read(switch):
             return _NO_EDGE, _NO_EDGE
-        height, radius = await self._parameters.read(ceiling), await self._parameters.read(circle)
+        height, radius = await asyncio.gather(self._parameters.read(ceiling), self._parameters.read(circle))
         return (ceiling, height or 0.0), (circle, radius or 0.0)
 
 
@@ -191,6 +195,7 @@ class Rally:
 
     def __init__(self, vehicle: Contact, plans: PlanTransfer) -> None:
         self._vehicle, self._plans = vehicle, plans
+        self._limits = Limits(vehicle.binding, vehicle.error)
 
     async def do_set_rally_points(self, values: list[float]) -> None:
         """{latitude, longitude, height above home} for each, in place of those that were there."""
@@ -198,6 +203,10 @@ class Rally:
             items = rally_points(values)
         except ValueError as error:
             raise self._vehicle.error(f"setRallyPoints: {error}") from None
+        state, profile = self._vehicle.state, self._vehicle.profile
+        home = state.home if state.knows_frames else None
+        situation = Situation(profile.kind, profile.px4, home, state.position)
+        check_rally("setRallyPoints", items, self._limits, self._vehicle.error, situation)
         await self._plans.upload(PlanKind.RALLY, items)
 
     async def do_rally_points(self) -> list[float]:

@@ -69,6 +69,7 @@ class Flight:
         await self._motion.monitor.settle()
         self._motion.monitor.check_begin("arm")
         vehicle.check_station("arm")
+        await vehicle.check_alone()
         await vehicle.check_settings()
         if self._state.mode != vehicle.profile.arming:
             await self._motion.set_mode(vehicle.profile.arming)

@@ -14,7 +14,7 @@ from lfield_mavlink.limits import Limits
 from lfield_mavlink.parts.motion import Motion
 from lfield_mavlink.parts.progress import Following, Revolutions, Turning
 from lfield_mavlink.setpoints.orders import Circle, Order, Patience
-from lfield_mavlink.setpoints.target import ONLY_VELOCITY, VELOCITY_AND_YAW_RATE, Target
+from lfield_mavlink.setpoints.trajectory import ONLY_VELOCITY, VELOCITY_AND_YAW_RATE, Target
 
 #: How exactly a heading is reached, in radians.
 HEADING_TOLERANCE = math.radians(4.0)

@@ -3,33 +3,41 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from lfield.driver import DeviceError
 from lfield_mavlink.contact.contact import Contact
-from lfield_mavlink.geo import Place
 from lfield_mavlink.limits import Limits
 from lfield_mavlink.link.dialect import AUTOPILOT, dialect
+from lfield_mavlink.modes import ARDUPILOT, PX4
+from lfield_mavlink.parts.flight import RETURN_HEIGHTS
 from lfield_mavlink.parts.motion import Motion
-from lfield_mavlink.services.plan_items import WAYPOINT, Item, PlanKind, command_name, coordinates, waypoints
+from lfield_mavlink.services.mission_check import CURVES, Situation, begins_with_takeoff, has_command
+from lfield_mavlink.services.mission_rules import check_mission
+from lfield_mavlink.services.parameters import Parameters
+from lfield_mavlink.services.plan_items import WAYPOINT, Item, PlanKind, coordinates, waypoints
 from lfield_mavlink.services.plan_transfer import PlanTransfer
 
 #: Seconds to wait until the current item is the one that was set, which PX4 tells once a second, and how
 #: often it is set.
 PATIENCE, QUESTIONS = 1.2, 4
 
-#: Items with a place that the vehicle goes to, which the limits of the binding hold for.
-_FLOWN = frozenset(
-    {
-        dialect.MAV_CMD_NAV_WAYPOINT,
-        dialect.MAV_CMD_NAV_LOITER_UNLIM,
-        dialect.MAV_CMD_NAV_LOITER_TURNS,
-        dialect.MAV_CMD_NAV_LOITER_TIME,
-        dialect.MAV_CMD_NAV_LAND,
-        dialect.MAV_CMD_NAV_TAKEOFF,
-        dialect.MAV_CMD_NAV_SPLINE_WAYPOINT,
-    }
+#: The radius in metres of a circle whose item names none, by autopilot and kind of vehicle: the parameter by
+#: its names, and in how many units to a metre.
+_LOITER_RADII = {
+    (ARDUPILOT, "copter"): {"CIRCLE_RADIUS_M": 1.0, "CIRCLE_RADIUS": 100.0},
+    (ARDUPILOT, "rover"): {"CIRC_RADIUS": 1.0},
+    (ARDUPILOT, "plane"): {"WP_LOITER_RAD": 1.0},
+    (PX4, "copter"): {"NAV_LOITER_RAD": 1.0},
+    (PX4, "plane"): {"NAV_LOITER_RAD": 1.0},
+}
+_CIRCLES = (
+    dialect.MAV_CMD_NAV_LOITER_UNLIM,
+    dialect.MAV_CMD_NAV_LOITER_TURNS,
+    dialect.MAV_CMD_NAV_LOITER_TIME,
+    dialect.MAV_CMD_NAV_LOITER_TO_ALT,
+    dialect.MAV_CMD_DO_REPOSITION,
 )
 _CURRENT = dialect.MAVLINK_MSG_ID_MISSION_CURRENT
 
@@ -37,10 +45,14 @@ _CURRENT = dialect.MAVLINK_MSG_ID_MISSION_CURRENT
 class Missions:
     """Waypoints are numbered from 0 here, also for ArduPilot, whose own numbers begin with home."""
 
-    def __init__(self, vehicle: Contact, motion: Motion, limits: Limits, plans: PlanTransfer) -> None:
+    def __init__(
+        self, vehicle: Contact, motion: Motion, limits: Limits, plans: PlanTransfer, parameters: Parameters
+    ) -> None:
         self._vehicle, self._state, self._motion = vehicle, vehicle.state, motion
-        self._limits, self._plans = limits, plans
+        self._limits, self._plans, self._parameters = limits, plans, parameters
         self._count = 0
+        # Whether the mission may have curves, whose path follows from where they begin.
+        self._curved = True
         self._current = self._reached = -1
         vehicle.on(_CURRENT, self._on_current)
         vehicle.on(dialect.MAVLINK_MSG_ID_MISSION_ITEM_REACHED, self._on_reached)
@@ -58,7 +70,7 @@ class Missions:
             items = waypoints(values, yaw=math.nan if self._vehicle.profile.px4 else 0.0)
         except ValueError as error:
             raise self._vehicle.error(f"uploadMission: {error}") from None
-        self._check_route("uploadMission", items)
+        await self._check("uploadMission", items)
         self._check_not_flown("uploadMission")
         await self._plans.upload(PlanKind.MISSION, items)
         self._count, self._reached = len(items), -1
@@ -83,9 +95,9 @@ class Missions:
             raise self._vehicle.error(
                 "startMission refused: the vehicle holds no mission; call uploadMission() first"
             )
-        self._check_route("startMission", items)
+        await self._check("startMission", items, starts=True)
         stands = self._vehicle.profile.flies and self._state.landed
-        if stands and items[0].command != dialect.MAV_CMD_NAV_TAKEOFF:
+        if stands and not begins_with_takeoff(items):
             raise self._vehicle.error("startMission refused: it stands on the ground; call takeoff() first")
         self._count = len(items)
         start = dialect.MAV_CMD_MISSION_START
@@ -112,6 +124,8 @@ class Missions:
         """The waypoint that is flown to next."""
         if not 0 <= number < 0xFFFF:
             raise self._vehicle.error(f"setMissionItem: there is no waypoint {number}")
+        if self._curved and self._is_flown:
+            await self._check("setMissionItem", await self._plans.download(PlanKind.MISSION), starts=True)
         await self._make_current("setMissionItem", number)
 
     async def do_clear_mission(self) -> None:
@@ -136,37 +150,42 @@ class Missions:
                 return
         raise self._vehicle.error(f"{what}: waypoint {number} did not become the current one", timeout=True)
 
+    @property
+    def _is_flown(self) -> bool:
+        return self._state.armed and self._state.mode == self._vehicle.profile.mission
+
     def _check_not_flown(self, what: str) -> None:
-        if self._state.armed and self._state.mode == self._vehicle.profile.mission:
+        if self._is_flown:
             raise self._vehicle.error(f"{what} refused: a mission is being flown; call pauseMission() first")
 
-    def _check_route(self, what: str, items: Sequence[Item]) -> None:
+    async def _check(self, what: str, items: Sequence[Item], *, starts: bool = False) -> None:
         """Refuse a mission that leaves the limits of the binding, whoever made it. Raises DeviceError."""
-        for number, item in enumerate(items):
-            if item.command == dialect.MAV_CMD_DO_CHANGE_SPEED:
-                self._limits.check_speed(f"{what}: item {number}", item.parameters[1])
-            elif item.command in _FLOWN and self._limits.bound_places:
-                self._limits.check_goal(f"{what}: waypoint {number}", self._goal(what, number, item))
+        self._curved = self._limits.bound_places and has_command(items, *CURVES)
+        check_mission(what, items, self._limits, self._vehicle.error, await self._situation(items, starts))
 
-    def _goal(self, what: str, number: int, item: Item) -> tuple[float, float, float]:
-        """Where an item leads, about home. Raises DeviceError when that is not known.
+    async def _situation(self, items: Sequence[Item], starts: bool) -> Situation:
+        """What the items are checked against; asks the vehicle only for what these items need."""
+        profile, state, limits = self._vehicle.profile, self._state, self._limits
+        autopilot, returns = profile.autopilot, has_command(items, dialect.MAV_CMD_NAV_RETURN_TO_LAUNCH)
+        radius, climbs, rally = None, None, list[Item]()
+        if limits.bounds_radius and has_command(items, *_CIRCLES):
+            radius, _ = await self._metres(_LOITER_RADII.get((autopilot, profile.kind), {}))
+        if limits.bounds_heights and returns and profile.kind == "copter":
+            height, name = await self._metres(RETURN_HEIGHTS[autopilot])
+            climbs = None if height is None else (height, name)
+        if limits.bound_places and returns:
+            rally = await self._plans.download(PlanKind.RALLY)
+        home = state.home if state.knows_frames else None
+        return Situation(
+            profile.kind, profile.px4, home, state.position, radius, climbs, rally, begins_here=starts
+        )
 
-        The altitude of a rover's home is no altitude: it is taken before there is a good one.
-        """
-        home = self._state.home
-        if home is None or not self._state.knows_frames:
-            raise self._vehicle.error(f"{what} needs to know where home is, and the vehicle has not told")
-        if not (item.above_home or item.above_sea):
-            raise self._vehicle.error(
-                f"{what}: the height of item {number}, {command_name(item.command)}, is not known"
-            )
-        height = item.z if item.above_home else item.z - home.altitude
-        if self._state.kind == "rover":
-            height = 0.0
-        if not (item.x or item.y):  # where the vehicle then is
-            return (0.0, 0.0, -height)
-        north, east, _ = home.to(Place(item.x / 1e7, item.y / 1e7, home.altitude))
-        return (north, east, -height)
+    async def _metres(self, units: Mapping[str, float]) -> tuple[float | None, str]:
+        """The first of these parameters that the vehicle has, in metres, and its name."""
+        if not units:
+            return None, ""
+        name, value = await self._parameters.read_any(units)
+        return (None if value is None else abs(value) / units[name]), name
 
     # -- telemetry ------------------------------------------------------------------------------------
 

@@ -21,8 +21,7 @@ from lfield_mavlink.setpoints.guided_mode import GuidedMode
 from lfield_mavlink.setpoints.orders import Order, Patience, Stack, orders_for, reposition
 from lfield_mavlink.setpoints.speed import Speed
 from lfield_mavlink.setpoints.stream import SetpointStream
-from lfield_mavlink.setpoints.target import Target
-from lfield_mavlink.setpoints.trajectory import Stay, Trajectory
+from lfield_mavlink.setpoints.trajectory import Stay, Target, Trajectory
 
 #: Of what flies to a goal, and of what drives there.
 ON_ITS_WAY, DRIVES = Patience(), Patience(turning=40.0, detour=30.0)

@@ -97,6 +97,8 @@ class Readiness:
             return f"it crashed, and must be inspected: {crashed}"
         if self._vehicle.silence > LINK_LOST:
             return f"nothing heard for {self._vehicle.silence:.1f} s"
+        if self._vehicle.conflict and not self._state.armed:
+            return self._vehicle.conflict
         since = max(self._counts_from, self._vehicle.clock.monotonic() - CHECKS_OLD)
         return lack(self._state, since, px4=self._vehicle.profile.px4)
 

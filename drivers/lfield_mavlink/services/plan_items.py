@@ -81,6 +81,11 @@ class Item:
         """Whether `z` is a height above home."""
         return bool(_TWINS.get(self.frame, self.frame) == dialect.MAV_FRAME_GLOBAL_RELATIVE_ALT)
 
+    @property
+    def above_terrain(self) -> bool:
+        """Whether `z` is a height above the ground below, wherever that is."""
+        return bool(_TWINS.get(self.frame, self.frame) == dialect.MAV_FRAME_GLOBAL_TERRAIN_ALT)
+
     def same(self, other: Item) -> bool:
         """Whether it is the same item, as far as an autopilot keeps it.
 

@@ -47,6 +47,11 @@ class Version:
             return f"uid {long.hex()}"
         return f"uid {told.uid:x}" if told.uid else ""
 
+    async def renew(self) -> Any | None:
+        """The message, asked for anew; None when it does not come."""
+        self._told = None
+        return await self._ask()
+
     async def _ask(self) -> Any | None:
         """The message, asked for until it is known; None when it does not come."""
         vehicle, version = self._vehicle, float(dialect.MAVLINK_MSG_ID_AUTOPILOT_VERSION)

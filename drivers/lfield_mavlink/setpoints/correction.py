@@ -15,8 +15,9 @@ WINDOW = 1.0
 STEADY = 0.05
 #: Shares of the speed by which it may be exceeded, or not be reached, before it is corrected.
 ABOVE, BELOW = 0.01, 0.03
-#: The share from which it is no inaccuracy but another speed, which the limits of the binding see to.
-OTHER = 0.2
+#: The shares from which it is no inaccuracy but another speed, which the limits of the binding see to, or a
+#: vehicle that is held up.
+OTHER, HELD_UP = 0.2, 0.5
 #: The share of a difference that one correction makes good.
 GAIN = 0.8
 #: The least share of a speed that is commanded.
@@ -60,7 +61,7 @@ class SpeedCorrection:
 
     def _correct(self, mean: float, before: float | None, speed: float) -> bool:
         off = (speed - mean) / speed
-        if off < -OTHER:
+        if off < -OTHER or off > HELD_UP:
             return False
         is_steady = before is not None and abs(mean - before) <= STEADY * speed
         if not (off < -ABOVE or (off > BELOW and is_steady)):

@@ -22,8 +22,17 @@ from lfield_mavlink.geo import Place, Vector
 from lfield_mavlink.link.dialect import dialect
 from lfield_mavlink.modes import PX4, Profile
 from lfield_mavlink.setpoints.correction import SpeedCorrection
-from lfield_mavlink.setpoints.target import ONLY_POSITION, ONLY_VELOCITY, ONLY_YAW, Target
-from lfield_mavlink.setpoints.trajectory import LIFTS, Leg, Pursuit, Ring, Trajectory
+from lfield_mavlink.setpoints.trajectory import (
+    LIFTS,
+    ONLY_POSITION,
+    ONLY_VELOCITY,
+    ONLY_YAW,
+    Leg,
+    Pursuit,
+    Ring,
+    Target,
+    Trajectory,
+)
 
 #: MAV_DO_REPOSITION_FLAGS_CHANGE_MODE.
 _CHANGE_MODE = 1.0

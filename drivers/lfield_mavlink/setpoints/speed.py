@@ -12,7 +12,7 @@ from lfield_mavlink.link.dialect import dialect
 from lfield_mavlink.services.parameters import Parameters
 from lfield_mavlink.setpoints.correction import SpeedCorrection
 from lfield_mavlink.setpoints.stream import SetpointStream
-from lfield_mavlink.setpoints.target import ONLY_POSITION, Target
+from lfield_mavlink.setpoints.trajectory import ONLY_POSITION, Target
 
 #: How often a vehicle is told to stay before it is told its speed, and the seconds after each: enough that
 #: one arrives on a bad link, and that ArduPilot's control of a position has begun.

@@ -7,8 +7,7 @@ from collections.abc import Callable
 
 from lfield.driver import Clock
 from lfield_mavlink.geo import Vector
-from lfield_mavlink.setpoints.target import Target
-from lfield_mavlink.setpoints.trajectory import Trajectory
+from lfield_mavlink.setpoints.trajectory import Target, Trajectory
 
 #: Seconds between two setpoints of a stream; PX4 needs more than 2 per second.
 PERIOD = 0.05

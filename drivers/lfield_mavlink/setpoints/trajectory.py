@@ -11,18 +11,23 @@ about one second of its speed, and in steady motion it is exactly as fast as its
 from __future__ import annotations
 
 import math
-from typing import Protocol
+from dataclasses import dataclass
+from typing import Any, Protocol
 
 from lfield_mavlink.geo import Vector
+from lfield_mavlink.link.dialect import AUTOPILOT, dialect
 from lfield_mavlink.setpoints.correction import SpeedCorrection
-from lfield_mavlink.setpoints.target import ONLY_POSITION, ONLY_VELOCITY, POSITION_AND_YAW, Target
+
+# type_mask of SET_POSITION_TARGET_LOCAL_NED: everything ignored but what the name says.
+ONLY_POSITION, ONLY_VELOCITY, VELOCITY_AND_YAW_RATE, ONLY_YAW = 0x0DF8, 0x0DC7, 0x05C7, 0x09FF
+POSITION_AND_YAW = 0x09F8
 
 #: m/s upwards and downwards; the autopilot's own parameters (MPC_Z_VEL_MAX_UP, _DN) bound them too.
-CLIMB, SINK = 2.0, 1.2
+CLIMB, SINK = 2.5, 1.5
 #: m/s upwards from the ground (MPC_TKO_SPEED).
 LIFTS = 1.5
 #: m/s2 by which a target gains and loses speed.
-GAINS, LOSES = 1.5, 1.0
+GAINS, LOSES = 2.5, 4.0
 #: Seconds of its speed by which a vehicle follows its target.
 FOLLOWS = 1.05
 #: The longest distance of a target from its vehicle: so many seconds of its speed, and so many metres. In the
@@ -38,6 +43,26 @@ ON_CIRCLE = 0.05
 ROVER_BRAKES = 0.8
 #: The share of its speed that leads a rover to its goal when it drives straight at it.
 STRAIGHT = 0.95
+
+
+@dataclass(frozen=True, slots=True)
+class Target:
+    """A setpoint in metres of home and m/s; `mask` says what counts."""
+
+    mask: int
+    place: Vector = (0.0, 0.0, 0.0)
+    velocity: Vector = (0.0, 0.0, 0.0)
+    yaw: float = 0.0
+    yaw_rate: float = 0.0
+
+    def message(self, system: int, home: Vector) -> Any:
+        """SET_POSITION_TARGET_LOCAL_NED for a system; `home` is in its local frame, in metres."""
+        place = (mine + h for mine, h in zip(self.place, home, strict=True))
+        frame, acceleration = dialect.MAV_FRAME_LOCAL_NED, (0.0, 0.0, 0.0)
+        return dialect.MAVLink_set_position_target_local_ned_message(
+            0, system, AUTOPILOT, frame, self.mask, *place, *self.velocity, *acceleration,
+            self.yaw, self.yaw_rate,
+        )  # fmt: skip
 
 
 class Trajectory(Protocol):

@@ -104,8 +104,9 @@ def _mission(args: argparse.Namespace) -> Mission:
 
 def _tell(output: Path, data: bytes, mission: Mission, beside: list[str]) -> None:
     from lfield.mission import bundle
+    from lfield.wire.fields import short_digest
 
-    digest = bundle.contents(data).digest.hex()[:16]
+    digest = short_digest(bundle.contents(data).digest)
     hosts = ", ".join(mission.team.hosts)
     print(f"{output}: {len(data)} bytes, bundle {digest}, for {hosts}", file=sys.stderr)
     if beside:

@@ -114,6 +114,7 @@ def _show_mission(file: Path) -> int:
     from lfield.mission import bundle
     from lfield.mission.load import load_mission
     from lfield.text.suggest import listed
+    from lfield.wire.fields import short_digest
 
     if file.suffix == bundle.SUFFIX:
         data = bundle.read_file(file)
@@ -122,7 +123,7 @@ def _show_mission(file: Path) -> int:
         mission = load_mission(file)
         data = bundle.encode(mission)
     found = bundle.contents(data)
-    print(f"bundle    {found.digest.hex()[:16]} of {mission.name}")
+    print(f"bundle    {short_digest(found.digest)} of {mission.name}")
     if file.suffix == bundle.SUFFIX:
         print(f"signed    {_signed(found)}")
     for part in found.table:

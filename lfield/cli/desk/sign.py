@@ -29,6 +29,7 @@ def run(args: argparse.Namespace) -> int:
     from lfield.cli.files import write_bytes
     from lfield.errors import BundleError
     from lfield.mission import bundle
+    from lfield.wire.fields import short_digest
 
     if args.file.suffix != bundle.SUFFIX:
         raise UsageError(f"{args.file} is no bundle: 'lfield build' makes one of a deployment")
@@ -49,5 +50,5 @@ def run(args: argparse.Namespace) -> int:
     signature = sign(digest, keys, time.time())
     write_bytes(args.file, bundle.with_signature(data, signature))
     who = signed(digest, signature, keys.authority).who
-    print(f"{args.file}: bundle {digest.hex()[:16]}, signed by {who}", file=sys.stderr)
+    print(f"{args.file}: bundle {short_digest(digest)}, signed by {who}", file=sys.stderr)
     return 0

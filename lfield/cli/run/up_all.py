@@ -28,6 +28,7 @@ from lfield.host.process.stop_words import ECHO, StopWords, hear_signals
 from lfield.mission.team import parse_maps
 from lfield.net.local import reserve
 from lfield.operator.runs import Doors, begun, running
+from lfield.text.visible import visible
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -174,12 +175,17 @@ class _Team:
             self.show(host, line.decode(errors="replace").removesuffix("\n"), target)
 
     def show(self, host: str, text: str, target: TextIO) -> None:
-        """One line with its host's name before it, above the picture where there is one."""
+        """One line with its host's name before it, above the table where there is one.
+
+        On a terminal its control characters are shown as escapes; elsewhere it goes out unchanged.
+        """
         line = f"{host:<{self.width}} | {text}"
-        if self.view and target.isatty():
-            self.view.print(line)
-            return
-        target.write(line + "\n")
+        if not target.isatty():
+            target.write(line + "\n")
+        elif self.view:
+            self.view.print(visible(line))
+        else:
+            target.write(visible(line) + "\n")
 
     async def line(self, source: asyncio.StreamReader) -> bytes:
         try:

@@ -18,6 +18,7 @@ from lfield.journal.pages import (
     Starts,
     Stopped,
 )
+from lfield.wire.fields import short_digest
 
 if TYPE_CHECKING:
     from lfield.journal.reading import Seen
@@ -54,7 +55,7 @@ def journal_lines(seen: Seen) -> Iterator[str]:
             case Run():
                 yield f"run       {'goes on' if page.open else 'has ended'}"
             case BundlePage() if page.digest:
-                yield f"bundle    {page.digest.hex()[:12]}, signed"
+                yield f"bundle    {short_digest(page.digest)}, signed"
             case Paused() if page.on:
                 yield "paused    until 'lfield resume'"
             case Stopped() if page.reason:

@@ -17,10 +17,23 @@ from lfield.mission.access.release import Release
 from lfield.operator.ask import Answers
 from lfield.operator.descent import SILENT
 from lfield.operator.whereabouts import what_can_be_done
+from lfield.text.suggest import listed
 from lfield.text.values import telemetry_in_words
 from lfield.text.visible import in_one_line
 from lfield.wire.coordinators import Known
-from lfield.wire.observing import BundleStatus, DeviceStatus, JournalStatus, ParkedStatus, Status, Told
+from lfield.wire.fields import short_digest
+from lfield.wire.observing import (
+    BundleStatus,
+    DeviceStatus,
+    JournalStatus,
+    ParkedStatus,
+    StartStatus,
+    Status,
+    Told,
+)
+
+#: So many missing hosts are named in the command that leaves them out.
+MOST_NAMED = 8
 
 
 def show(answers: Answers[Status]) -> None:
@@ -35,7 +48,8 @@ def picture(answers: Answers[Status]) -> Group:
     Last are the hosts: how late each was, how long it may be silent, what it keeps, and which bundle it runs.
     """
     further = [table for table in (_devices(answers), _hosts(answers)) if table.row_count]
-    hints = map(in_one_line, [*_paused(answers), *_unkept(answers), *what_can_be_done(answers)])
+    waits = [*_starts(answers), *_refused(answers)]
+    hints = map(in_one_line, [*_paused(answers), *waits, *_unkept(answers), *what_can_be_done(answers)])
     bundles = ["", *map(in_one_line, _bundles(answers))] if _bundles(answers) else []
     return Group(_agents(answers), *hints, *(part for table in further for part in ("", table)), *bundles)
 
@@ -52,6 +66,35 @@ def _bundles(answers: Answers[Status]) -> list[str]:
 def _paused(answers: Answers[Status]) -> list[str]:
     hosts = [host for host, told in answers.items() if not isinstance(told, LfieldError) and told.paused]
     return [f"paused: {', '.join(hosts)}; 'lfield resume' lets the mission go on"] if hosts else []
+
+
+def _starts(answers: Answers[Status]) -> list[str]:
+    """What the coordinators wait for that are not started yet, and what can be done about it."""
+    lines = []
+    for host, told in answers.items():
+        if isinstance(told, LfieldError) or (start := told.start) is None:
+            continue
+        who = f"{host}: {listed(start.agents)} {'is' if len(start.agents) == 1 else 'are'} not started"
+        if start.held:
+            lines.append(f"{who}: {start.held}; 'lfield start' starts what waits")
+        elif start.hosts:
+            options = " ".join(f"--without {missing}" for missing in start.hosts[:MOST_NAMED])
+            lines.append(
+                f"{who}: waiting for {listed(start.hosts)}; start them, or let the mission begin without "
+                f"them: 'lfield start {options}'"
+            )
+    return lines
+
+
+def _refused(answers: Answers[Status]) -> list[str]:
+    """The hosts that no link can be made with. Both sides say so; one line for each reason is enough."""
+    found: dict[tuple[str, str], str] = {}
+    for host, told in answers.items():
+        for refused in () if isinstance(told, LfieldError) else told.refused:
+            found.setdefault(
+                (refused.host, refused.reason), f"{host} refuses {refused.host}: {refused.reason}"
+            )
+    return list(found.values())
 
 
 def _unkept(answers: Answers[Status]) -> list[str]:
@@ -135,6 +178,8 @@ def _agents(answers: Answers[Status]) -> Table:
             if known.state == "IN DOUBT" or known.unreadable or over:
                 state = f"{known.outcome or 'in doubt'}: {known.detail}".splitlines()[0].rstrip(": ")
                 _add(shown, host, known.agent, "", state, str(known.hops), "", "")
+        for waiting in answer.start.agents if answer.start is not None else ():
+            _add(shown, host, waiting, "", _waiting(answer.start), "", "", "")
         for begun in answer.begun:
             state = _BEGUN[begun.state].format(f"{begun.resource}.{begun.portal}")
             _add(shown, host, begun.agent, "", state, "", "", "")
@@ -149,6 +194,12 @@ def _agents(answers: Answers[Status]) -> Table:
         if shown.row_count == before:
             _add(shown, host, "-", "", "up, nobody here", "", "", "")
     return shown
+
+
+def _waiting(start: StartStatus | None) -> str:
+    if start is None or not (start.hosts or start.held):
+        return "is being started"
+    return "not started: held" if start.held else f"waits for {listed(start.hosts)} to start"
 
 
 def _newest(answers: Answers[Status]) -> Mapping[str, int]:
@@ -212,6 +263,11 @@ def _status(status: Status) -> dict[str, Any]:
         "lease": status.lease,
         "journal": _journal_data(status.journal),
         "begun": [asdict(begun) for begun in status.begun],
+        "refused": [
+            {"host": one.host, "reason": one.reason, "bundle": short_digest(one.bundle)}
+            for one in status.refused
+        ],
+        "start": None if status.start is None else asdict(status.start),
         "reserved": [asdict(reserved) for reserved in status.reserved],
         "moving": {device.name: device.moving for device in status.devices if device.moving},
         "directory": _directory(status.directory),
@@ -219,7 +275,9 @@ def _status(status: Status) -> dict[str, Any]:
 
 
 def _bundle(run: BundleStatus | None) -> dict[str, Any] | None:
-    return None if run is None else {"digest": run.digest.hex()[:12], "signed_by": run.by, "signed": run.at}
+    return (
+        None if run is None else {"digest": short_digest(run.digest), "signed_by": run.by, "signed": run.at}
+    )
 
 
 _PARKED = ("generation", "hops", "state", "where")

@@ -6,6 +6,7 @@ import asyncio
 import gc
 import signal
 import sys
+import time
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
@@ -80,7 +81,10 @@ async def run_host(
         engine=engine or mission.bindings.engine,
         admission=admission,
     )
-    host = Host(mission, name, TcpTransport(mission.max_block, tls), logbook, host_options)
+    # What programs compute when a message wakes them is no work of whoever has sent it.
+    transport = TcpTransport(mission.max_block, tls, exempt=lambda: host.core.programs.ran)
+    host = Host(mission, name, transport, logbook, host_options)
+    transport.note, host.core.programs.stopwatch = host.note, time.thread_time
     host.on_failure = _end_by_force_after(mission)
     words = StopWords(host.clock)
     hear_signals(words)

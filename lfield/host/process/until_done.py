@@ -33,7 +33,9 @@ SETTLED = 5.0
 async def until_done(host: Host, lost_after: float) -> list[Fate]:
     """The fates of all coordinators. A host that nobody has heard for `lost_after` seconds is not waited for.
 
-    One that has not come up yet is waited for as long as portal calls to it are, if that is longer.
+    One that has not come up yet is waited for as long as portal calls to it are, if that is longer. A
+    coordinator that is not started yet is waited for as long as it may be: until a host that its start needs
+    has ended for certain.
     """
     unmet = max(lost_after, host.options.unreachable_after)
     homes = {member.id: host.team.hosts[member.host] for member in host.team.coordinators}
@@ -53,6 +55,8 @@ async def until_done(host: Host, lost_after: float) -> list[Fate]:
             now = host.clock.monotonic()
             found = judge.judge(records, _absent(host, hearsay.absent(records, now, lost_after, unmet)))
             found |= known_fates(homes, host.mobility.knowledge(), host.mobility.proven(now - FRESH))
+        unstartable = host.core.startup.unstartable(hearsay.gone)
+        found |= {agent: Fate(agent, "lost", why) for agent, why in unstartable.items()}
         for agent in remembered.unsettled():
             found.pop(agent, None)
         if not homes.keys() - found.keys():
@@ -97,7 +101,7 @@ class _Remembered:
         """Whether a home has started what it starts, or is not heard of."""
         host = self._host
         if home == host.name:
-            return host.core.settled
+            return host.core.startup.settled
         now = host.clock.monotonic()
         if home in host.peers.incarnations:
             self._met.setdefault(home, now)

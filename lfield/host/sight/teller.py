@@ -7,7 +7,7 @@ each sort has a budget. Portal calls and instructions to devices are told only w
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Literal
 
 from msgspec import Struct
@@ -258,6 +258,14 @@ class Teller:
     def _of_devices(self, agent: str) -> int:
         """The last event of any device of an agent."""
         return max((n for d, n in self._of_device.items() if d.startswith(f"{agent}.")), default=0)
+
+    def refused(self, host: str, reason: str) -> None:
+        """No link with a host can be made, for that reason; '' when that is over."""
+        self.event(events.Refused(host, clip(reason)))
+
+    def waits(self, agents: Sequence[str], hosts: Sequence[str], held: str) -> None:
+        """Coordinators are not started yet, since their start waits; none waits any more without any."""
+        self.event(events.Waits(clip(", ".join(agents)), clip(", ".join(hosts)), clip(held)))
 
     def stopped(self, by: str, reason: str, *, lifted: bool) -> None:
         """Somebody has pressed the emergency stop, or lifted it."""

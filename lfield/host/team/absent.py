@@ -13,6 +13,8 @@ from lfield.mobility.hearsay import Hearsay
 
 #: The part of `unreachable_after` after which a host that is away is lost to who would call it.
 LOST_AFTER = 0.5
+#: Seconds without anything from a linked host after which nobody is sent there who need not go.
+SILENT_FOR = 2.0
 
 
 class Absent:
@@ -25,6 +27,12 @@ class Absent:
     def is_linked(self, host: str) -> bool:
         """Whether a host can be talked to: then it is neither away nor lost."""
         return self._hearsay.is_linked(host)
+
+    def is_silent(self, host: str) -> bool:
+        """Whether nothing has come for a while over a link that is asked for signs of life every second."""
+        heard = self._nearby.last_heard(host)
+        asked = self._hearsay.is_linked(host) and host in self._hearsay.near
+        return asked and heard is not None and self._clock.monotonic() - heard > SILENT_FOR
 
     def away(self, host: str) -> float:
         """For how many seconds a host that was linked has not been; 0 for one that was never met, or is."""

@@ -1,34 +1,67 @@
-"""The coordinators of one host's own: when they are started, and which of them are not. Pure."""
+"""The coordinators of one host's own: when they are started, and which of them are not. Pure.
+
+What goes on from the journal never waits here: only a start that is new does (`Readiness`).
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable
+from collections.abc import Callable, Collection, Iterable, Sequence
 
+from lfield.clock import Clock
+from lfield.host.effects import Effect, Nearby, Say
+from lfield.host.sight.teller import Teller
 from lfield.host.team.coordinators import Coordinators
 from lfield.host.team.leases import Leases
+from lfield.host.team.readiness import Readiness
+from lfield.mission.mission import ON_GROUND, Mission
+from lfield.mobility.effects import Send
+from lfield.mobility.hearsay import Hearsay
 from lfield.mobility.starts import Starts
+from lfield.text.suggest import did_you_mean, listed
 from lfield.wire.coordinators import Known
+from lfield.wire.observing import StartResponse, StartStatus, Status, StatusRequest
+
+#: Why an emergency stop during the wait holds a start back.
+STOPPED = "an emergency stop holds ('lfield estop --lift' ends it)"
+PAUSED = "the mission is paused; 'lfield resume' lets it go on"
+#: Seconds between two looks at what a start waits for, at least.
+LOOK = 0.25
 
 
 class Beginning:
-    """The starts that a host makes. `own` are the coordinators that begin here, `others` the other hosts.
+    """The starts that a host of a mission makes; `kept`: it has a journal.
 
-    `kept`: the host has a journal. `say` is for the log.
+    What is to be done outside is added to `effects`.
     """
 
     def __init__(
         self,
-        own: Collection[str],
-        others: Collection[str],
+        mission: Mission,
+        host: str,
         team: Coordinators,
         leases: Leases,
-        say: Callable[[str], None],
+        clock: Clock,
+        effects: Callable[[Effect], None],
+        nearby: Nearby,
+        hearsay: Hearsay,
+        teller: Teller,
         *,
         kept: bool,
     ) -> None:
-        self._own, self._team, self._leases, self._say, self._kept = own, team, leases, say, kept
-        self._told = False
-        self._starts = Starts(own, others)
+        self._mission, self._here, self._hosts = mission, host, mission.team.hosts
+        self._team, self._leases, self._clock, self._kept = team, leases, clock, kept
+        self._out, self._nearby, self._teller = effects, nearby, teller
+        here, others = mission.team.number(host), [other for other in self._hosts if other != host]
+        self.own = [member.id for member in mission.team.on(here) if member.kind == "coordinator"]
+        needed = [other for other in others if mission.has_resources(other)]
+        vehicles = [other for other in self._hosts if mission.vehicles_of(other)]
+        self.readiness = Readiness(needed, mission.bindings.start.without, vehicles, hearsay.is_linked)
+        self._told = self._told_pause = False
+        self._looked_at = 0.0
+        #: What watchers were last told of the wait: coordinators, hosts, and why it is held.
+        self._shown: tuple[list[str], list[str], str] = [], [], ""
+        self._starts = Starts(self.own, others)
+        self._starts.leave_out(self.readiness.without)
         #: The batch that has the number of a start, and that number, until it is on the disk.
         self._counting: tuple[int, int] | None = None
 
@@ -50,10 +83,23 @@ class Beginning:
     def heard(self, host: str, known: Iterable[Known] = ()) -> None:
         """A host has greeted, or has ended for good."""
         self._starts.heard(host, known)
+        self.readiness.on_linked(host)
 
     def unlinked(self, host: str) -> None:
         """A host cannot be talked to any more."""
         self._starts.unlinked(host)
+        self.readiness.on_unlinked(host, self._clock.monotonic())
+
+    def on_refused(self, host: str, reason: str, bundle: bytes) -> None:
+        """No link with a host can be made, for that reason; '' when that is over."""
+        self.readiness.on_refused(host, reason, bundle)
+        self.look()
+
+    def on_status(self, host: str, status: Status) -> None:
+        """A host that was asked says how its devices are."""
+        flying = [device.name for device in status.devices if device.telemetry.get(ON_GROUND) is False]
+        self.readiness.on_vehicles(host, flying)
+        self.look()
 
     def kept(self, number: int) -> None:
         """All pages up to those of that batch are on the disk."""
@@ -63,18 +109,116 @@ class Beginning:
             self._begin(counted)
 
     def look(self) -> None:
-        """Something has changed: start what may be started now."""
+        """Something has changed: start what may be started now, and tell what is waited for."""
+        self._looked_at = self._clock.monotonic()
+        self._start_if_ready()
+        status = self.status
+        waits = status is not None and (status.hosts or status.held)
+        shown = (status.agents, status.hosts, status.held) if status and waits else ([], [], "")
+        if shown != self._shown:
+            self._shown = shown
+            self._teller.waits(*shown)
+
+    def _start_if_ready(self) -> None:
         if why := self._starts.why():
             self._say(why)
-        if not self._team.halted and not self._waits() and self._starts.due:
+        if self._team.halted or self._waits() or (self._starts.is_waiting and self._is_held_back()):
+            return
+        if self._starts.due:
             self._begin(0)
+
+    @property
+    def due(self) -> float | None:
+        """When `look` has something to do by itself, in seconds of the host's clock; None for never.
+
+        It may wait for other things too (a lease, say), so `LOOK` passes before it is looked at again.
+        """
+        due = self.readiness.due if self._starts.is_waiting and not self._team.halted else None
+        return None if due is None else max(due, self._looked_at + LOOK)
+
+    def _new(self) -> list[str]:
+        """The coordinators whose start would be a new one."""
+        known = self._team.mobility.knowledge()
+        return [agent for agent in self.own if not self._why_not(agent, known)]
+
+    def _is_held_back(self) -> bool:
+        """Whether a new start has to wait: for hosts, for vehicles of an earlier start, or for a person."""
+        agents = self._new()
+        if not agents:
+            return False
+        readiness, now = self.readiness, self._clock.monotonic()
+        if self._team.stopped:
+            readiness.hold(STOPPED)
+        if not (readiness.held or readiness.missing or self._starts.missing or self._is_paused(agents)):
+            for host in readiness.to_ask(now):
+                if host == self._here:
+                    readiness.on_vehicles(host, self._off_ground())
+                else:
+                    self._out(Send(host, StatusRequest()))
+        if line := readiness.line(agents, now):
+            self._say(line)
+        return self._team.paused or not readiness.is_ready
+
+    def _off_ground(self) -> list[str]:
+        """The vehicles of this host that are off the ground."""
+        told = ((name, self._nearby.last(name, ON_GROUND)) for name in self._mission.vehicles_of(self._here))
+        return [name for name, landed in told if landed is not None and landed.value is False]
+
+    def _is_paused(self, agents: Sequence[str]) -> bool:
+        if self._team.paused and not self._told_pause:
+            self._say(f"{' and '.join(agents)} not started: {PAUSED}")
+        self._told_pause = self._team.paused
+        return self._team.paused
+
+    # --- operators ------------------------------------------------------------------------------------
+
+    @property
+    def status(self) -> StartStatus | None:
+        """What the coordinators of this host wait for that are not started yet; None where none waits."""
+        if not self._starts.is_waiting or self._team.halted or not (agents := self._new()):
+            return None
+        found = self.readiness.status(agents)
+        unheard = [host for host in self._starts.missing if host not in found.hosts]
+        held = found.held or (PAUSED if self._team.paused else "")
+        return StartStatus(found.agents, [*found.hosts, *unheard], found.without, held)
+
+    @property
+    def is_settling(self) -> bool:
+        """Whether a start needs nothing but a moment."""
+        status = self.status
+        return status is not None and not (status.hosts or status.held)
+
+    def start(self, without: Collection[str]) -> StartResponse:
+        """An operator wants the start, and does not want it to wait for some hosts."""
+        unknown = [host for host in without if host not in self._hosts]
+        if unknown:
+            hint = did_you_mean(unknown[0], self._hosts)
+            said = f"the deployment has no host '{unknown[0]}'{f': {hint}' if hint else ''}"
+            return StartResponse([], self.status, said)
+        waiting = self._new() if self._starts.is_waiting else []
+        if not self._starts.begun:
+            self.readiness.on_start_command(without)
+            self._starts.leave_out(without)
+            if without:
+                self._say(f"starts of coordinators no longer wait for {' and '.join(sorted(without))}")
+            self.look()
+        return StartResponse(waiting, self.status)
+
+    def unstartable(self, gone: Collection[str]) -> dict[str, str]:
+        """The coordinators that wait for a host which has ended for certain, each with the reason."""
+        lacking = [host for host in self.readiness.missing if host in gone]
+        if not (self._starts.is_waiting and lacking):
+            return {}
+        ended = f"{listed(lacking)} {'has' if len(lacking) == 1 else 'have'} ended"
+        why = f"it was not started, since {ended}"
+        return dict.fromkeys(self._new(), why)
 
     def _waits(self) -> bool:
         """Whether a lease is waited for: who could give one may know of a later start."""
         if not self._leases.waits:
             return False
         known = self._team.mobility.knowledge()
-        waiting = [a for a in self._own if a in self._leases.fenced and not self._why_not(a, known)]
+        waiting = [a for a in self.own if a in self._leases.fenced and not self._why_not(a, known)]
         if waiting and not self._told:
             names = f"{' and '.join(waiting)} {'is' if len(waiting) == 1 else 'are'}"
             self._say(f"{names} not started before a majority of the team can be heard")
@@ -87,8 +231,8 @@ class Beginning:
         """Start the coordinators, once the number of that start is kept, and no later one was heard of."""
         known = self._team.mobility.knowledge()
         self._starts.learn(known)
-        self._starts.beyond(max((self._leases.quorum.fences.of(agent) for agent in self._own), default=0))
-        against = {agent: self._why_not(agent, known) for agent in self._own}
+        self._starts.beyond(max((self._leases.quorum.fences.of(agent) for agent in self.own), default=0))
+        against = {agent: self._why_not(agent, known) for agent in self.own}
         if self._kept and counted < self._starts.next and not all(against.values()):
             self._counting = self._team.count(self._starts.next), self._starts.next
             return
@@ -111,3 +255,6 @@ class Beginning:
         """The team goes on with what runs under leases from a shadow: beginning anew would forget that."""
         host = self._starts.shadowed(agent, known) if agent in self._leases.fenced else ""
         return f"has left {host}, where a copy of it is kept" if host else ""
+
+    def _say(self, text: str) -> None:
+        self._out(Say(text))

@@ -18,7 +18,7 @@ from lfield.host.team.coordinators import Coordinators
 from lfield.journal.pages import Fence, Page
 from lfield.mission.mission import Mission
 from lfield.mobility.departures import PERHAPS, RESTARTED
-from lfield.mobility.effects import Persist, Send
+from lfield.mobility.effects import Finished, Persist, Send
 from lfield.mobility.generations import next_recovery
 from lfield.quorum import effects as quorum
 from lfield.quorum.core import Quorum
@@ -29,6 +29,7 @@ from lfield.vm.agent import Agent
 from lfield.vm.begun import Begun
 from lfield.vm.machine import Machine
 from lfield.vm.memory.layout import W_INTERVAL, W_SEQUENCE
+from lfield.wire.coordinators import Ended
 from lfield.wire.fields import age
 from lfield.wire.framing import Buffer
 from lfield.wire.messages import Hello
@@ -44,6 +45,12 @@ FORGOTTEN = (
     "no lease is given here before {0} {1} heard: the journal here is new, or has lost a promise; when a "
     "member is gone for good, start all hosts with a 'recovery: {{members: [...]}}' that leaves it out; "
     "--first-start says that this host has never run this deployment"
+)
+#: A host without a lease may not have heard of a termination, and what it recovers could not act.
+UNHEARD = (
+    "{0} runs under leases and {1} hears no majority of the members, which may know that it has ended: ask "
+    "again when {1} does; when members are gone for good, start all hosts with a 'recovery: {{members: "
+    "[...]}}' that leaves them out"
 )
 #: An older copy would do again what has been done since: that is for a person to say.
 STUCK = (
@@ -82,6 +89,7 @@ class Leases:
         self.quorum = Quorum(
             members, others, self.fenced, own.incarnation, self, self._kept, dice, new=self._new
         )
+        team.mobility.delay(lambda ended: self.quorum.is_delayed(ended, clock.monotonic()))
         self._safe = {device.name: device.safe_state for device in mission.devices_of(own.host)}
         #: The devices that were used here for coordinators that run under leases.
         self._used: dict[str, set[Caller]] = {}
@@ -224,6 +232,17 @@ class Leases:
             return f"no start of {agent} as early as this one may run any more"
         return self._team.mobility.over(agent, generation)
 
+    def why_not_recovered(self, agent: str, generation: int) -> str:
+        """Why an operator may not recover a coordinator here from its start `generation`; '' if they may."""
+        ended = self._team.mobility.termination(agent)
+        if agent in self.fenced and (known := self.quorum.terminations.covers(agent, generation)):
+            return f"{agent} has ended on {known.host} ({known.outcome}): there is nothing to go on with"
+        if ended is not None:
+            return f"{agent} has ended on {ended.ended_on} ({ended.outcome}): there is nothing to go on with"
+        if agent in self.fenced and self.waits:
+            return UNHEARD.format(agent, self._own.host)
+        return ""
+
     def until(self, caller: Caller, device: str) -> float:
         """Until when a device may be actuated for a coordinator, in seconds of this host's clock.
 
@@ -256,8 +275,17 @@ class Leases:
                     self._out(Say(effect.reason))
                     if not self._team.recover(effect.agent, effect.generation):
                         self._out(Say(STUCK.format(effect.agent, self._own.host)))
+                case quorum.Terminate():
+                    self._terminated(effect.ended)
                 case quorum.Explain():
                     self._out(Say(effect.text))
+
+    def _terminated(self, ended: Ended) -> None:
+        """Another host says that a coordinator has terminated."""
+        effects = self._team.mobility.terminated(ended)
+        if any(isinstance(effect, Finished) for effect in effects):
+            self._out(Say(f"{ended.agent} has ended on {ended.host} ({ended.outcome})"))
+        self._team.carry_out(effects)
 
     def _bar(self, name: str, generation: int, reason: str) -> None:
         """No start before this may run: what is here stops, and its devices go safe."""
@@ -274,10 +302,10 @@ class Leases:
     # --- Copies of the quorum -------------------------------------------------------------------------
 
     def saved(self, agent: str) -> Saved | None:
-        """The newest that is here of a coordinator."""
+        """The newest that is here of a coordinator, or its termination."""
         copy = self._team.mobility.newest(agent)
         if copy is None:
-            return None
+            return self._saved_end(agent)
         if copy.is_here:
             return Saved(Place(copy.generation, copy.sequence, left=False), alive=True, interval=0.0)
         block, left = copy.block, copy.state != "RUN"
@@ -287,6 +315,20 @@ class Leases:
         sequence = _word(block, W_SEQUENCE) if block is not None else 0
         interval = _word(block, W_INTERVAL) / 1000.0 if block is not None else 0.0
         return Saved(Place(copy.generation, sequence, left), alive=False, interval=interval)
+
+    def _saved_end(self, agent: str) -> Saved | None:
+        """The termination of a coordinator of which nothing else is here. It is final once a majority of the
+        members has it on disk, as they confirm to the host where it ended.
+        """
+        copy = self._team.mobility.termination(agent)
+        if copy is None or not copy.outcome:
+            return None
+        ended = Ended(agent, copy.generation, copy.outcome, copy.detail, copy.ended_on)
+        final = copy.ended_on != self._own.host or copy.outcome == "lost"
+        if not final:
+            waiting = self._team.mobility.unconfirmed_by(agent, copy.generation)
+            final = self.quorum.members.is_majority(self.quorum.members.names.difference(waiting))
+        return Saved(Place(copy.generation, copy.sequence, left=False), False, 0.0, ended, final)
 
     def mint(self, agent: str, above: int) -> int:
         """A generation that no other host makes, greater than all that are known."""

@@ -6,7 +6,7 @@ A person cannot see what this host has now, so its own knowledge comes first: wh
 from __future__ import annotations
 
 from lfield.host.team.coordinators import Coordinators
-from lfield.host.team.leases import abandon
+from lfield.host.team.leases import Leases, abandon
 from lfield.journal.pages import Paused, Stopped
 from lfield.mobility.departures import PERHAPS
 from lfield.mobility.generations import next_recovery
@@ -24,13 +24,15 @@ def forget(team: Coordinators, agent: str) -> list[int]:
     return starts
 
 
-def recover(team: Coordinators, host: str, number: int, word: Recover, fence: int) -> Recovered:
+def recover(team: Coordinators, leases: Leases, host: str, number: int, word: Recover) -> Recovered:
     """Whoever held a coordinator is gone for good: `host`, with this number in the team, goes on with it.
 
-    What the person was told of must still be so. No start up to `fence` may be made here.
+    What the person was told of must still be so. No start up to its fence may be made here. One that has
+    terminated is not recovered; under leases that is known to whoever has heard a majority just now.
     """
-    if why := _why_not(team, host, word):
+    if why := leases.why_not_recovered(word.agent, word.generation) or _why_not(team, host, word):
         return Recovered(0, clip(why))
+    fence = leases.quorum.fences.of(word.agent)
     known = [row.generation for row in team.mobility.knowledge() if row.agent == word.agent]
     generation = next_recovery(max(word.above, fence, *known), number)
     if not team.recover(word.agent, generation):

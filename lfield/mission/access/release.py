@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 from lfield.authority.judge import NOBODY, Revoked, judged_signer, when
 from lfield.errors import SignatureError
+from lfield.wire.fields import short_digest
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,7 +38,7 @@ class Release:
     @property
     def short(self) -> str:
         """The beginning of its digest, as people compare it; '' where there is no bundle."""
-        return self.digest.hex()[:12]
+        return short_digest(self.digest)
 
     def __str__(self) -> str:
         if not self.digest:

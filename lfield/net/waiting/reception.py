@@ -1,18 +1,33 @@
-"""Where everybody waits who is no host of the team: a few messages of all of them at a time, then a pause."""
+"""Where everybody waits until their messages are taken, so that no peer keeps a host from its guards.
+
+Of all that are no hosts of the team a few messages at a time are taken, then there is a pause. Messages of
+members (hosts of the team) are taken at once while each is within its budget of processing time; see
+`rations`. No turn of the event loop takes messages of members for longer than SLICE: timers of guards and the
+messages of persons come in between.
+"""
 
 from __future__ import annotations
 
 import asyncio
+import math
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Protocol
 
-from lfield.net.waiting.turns import Turns
+from lfield.errors import OverBudget
+from lfield.net.waiting.rations import OVER_FOR, RATION, Rations, Standing
+from lfield.net.waiting.turns import Rank, Turns
 
 #: So many messages of all that are no hosts are taken in a round, none more when those have taken so many
 #: seconds of a processor, and seconds from one round to the next. Whoever asks without an end so keeps a host
 #: neither from its guards and peers nor from an emergency stop.
 AT_ONCE, LONGEST, ROUND = 16, 0.002, 0.02
+#: Seconds of a processor for messages of members in one turn of the event loop. After so many seconds without
+#: any, the next turn has begun.
+SLICE, PAUSE = 0.005, 0.001
+#: More turns than fit into a slice.
+_MANY = 1 << 30
 
 
 class Waiting(Protocol):
@@ -22,16 +37,42 @@ class Waiting(Protocol):
         """Take one message, or a part of one; whether there is more."""
 
 
-class Reception:
-    """What has come of them is taken as far as there is room in this round, at once; the rest in the next.
+class MemberLink(Waiting, Protocol):
+    """A link to a member."""
 
-    All calls happen on the thread of a running loop, and `busy` says how long that has been at work.
+    @property
+    def weight(self) -> int:
+        """How much was taken since the link was made: see `FramedLink.weight`."""
+
+    def hold(self, *, on: bool) -> None:
+        """Stop reading, or read again once nothing waits."""
+
+    def on_excess(self, error: OverBudget) -> None:
+        """The member is over its budget. Where `error.closes`, end the link."""
+
+
+@dataclass(slots=True)
+class _Read:
+    """What has come of a member, and the weight of its link when nothing of it was taken yet."""
+
+    member: str
+    weight: int
+
+
+class Reception:
+    """What has come of guests is taken as far as there is room in this round, at once; the rest in the next.
+
+    All calls happen on the thread of a running loop, and `busy` says how long that has been at work. `exempt`
+    of it is not the work of whoever has sent a message.
     """
 
-    def __init__(self, busy: Callable[[], float] = time.thread_time) -> None:
+    def __init__(
+        self, busy: Callable[[], float] = time.thread_time, exempt: Callable[[], float] = float
+    ) -> None:
         self._turns: Turns[Waiting] = Turns(AT_ONCE, LONGEST)
-        self._busy = busy
+        self.busy = busy
         self._timer: asyncio.TimerHandle | None = None
+        self.members = Members(busy, exempt)
 
     def enter(self, guest: Waiting, person: str) -> None:
         """There is something to take of a guest of this person that did not wait."""
@@ -45,11 +86,11 @@ class Reception:
         self._turns.leave(guest)
 
     def _take(self) -> None:
-        began = self._busy()
+        began = self.busy()
         while (guest := self._turns.next()) is not None:
             if not guest.take_one():
                 self._turns.leave(guest)
-            now = self._busy()
+            now = self.busy()
             self._turns.took(now - began)
             began = now
 
@@ -59,3 +100,124 @@ class Reception:
         self._take()
         if self._turns.used:
             self._timer = asyncio.get_running_loop().call_later(ROUND, self._again)
+
+
+class Members:
+    """Takes messages of members as their rations allow, in slices of the event loop. The clocks as above."""
+
+    def __init__(self, busy: Callable[[], float], exempt: Callable[[], float]) -> None:
+        self._busy, self._exempt = busy, exempt
+        self._turns: Turns[MemberLink] = Turns(_MANY, SLICE)
+        self._rations = Rations()
+        #: The open links of each member.
+        self._links: dict[str, set[MemberLink]] = {}
+        self._reads: dict[MemberLink, _Read] = {}
+        #: When a message was last taken, and the next slice where one is planned.
+        self._taken_at = -math.inf
+        self._next_slice: asyncio.Handle | None = None
+        #: The members that are not read now, and the timer for the first that will be.
+        self._held: set[str] = set()
+        self._release: asyncio.TimerHandle | None = None
+
+    def join(self, link: MemberLink, member: str) -> None:
+        """A link has proven that it is of a member."""
+        self._links.setdefault(member, set()).add(link)
+        if member in self._held:
+            link.hold(on=True)
+
+    def on_handshake(self, link: MemberLink, member: str, seconds: float) -> None:
+        """To prove that has taken so many seconds of a processor: the member's, as for its messages."""
+        now = asyncio.get_running_loop().time()
+        self._judge(link, member, self._rations.on_handshake(member, seconds, now), now)
+
+    def enter(self, link: MemberLink, member: str) -> None:
+        """There is something to take of a link that did not wait."""
+        now = asyncio.get_running_loop().time()
+        if self._next_slice is None and now - self._taken_at >= PAUSE:
+            self._turns.again()
+        self._rations.on_read(member, now)
+        self._reads[link] = _Read(member, link.weight)
+        self._turns.enter(link, member)
+        self._take()
+
+    def leave(self, link: MemberLink, member: str) -> None:
+        """A link has gone; it may not have waited."""
+        self._turns.leave(link)
+        self._reads.pop(link, None)
+        links = self._links.get(member, set())
+        links.discard(link)
+        if not links:
+            self._links.pop(member, None)
+
+    def _take(self) -> None:
+        loop, began = asyncio.get_running_loop(), self._busy()
+        while (link := self._turns.next()) is not None:
+            exempt = self._exempt()
+            more = link.take_one()
+            ended = self._busy()
+            spent, began = ended - began, ended
+            self._turns.took(spent)
+            self._taken_at = now = loop.time()
+            self._on_taken(link, spent - (self._exempt() - exempt), now, more=more)
+        if self._turns.is_full and self._next_slice is None:
+            self._next_slice = loop.call_soon(self._slice)
+
+    def _slice(self) -> None:
+        self._next_slice = None
+        self._turns.again()
+        self._take()
+
+    def _on_taken(self, link: MemberLink, seconds: float, now: float, *, more: bool) -> None:
+        read = self._reads.get(link)
+        if read is None:
+            # It has gone meanwhile.
+            return
+        weight = link.weight - read.weight
+        standing = self._rations.on_work(read.member, seconds, now, weight)
+        if not more:
+            self._turns.leave(link)
+            del self._reads[link]
+            self._rations.on_drained(read.member, weight, now)
+        self._judge(link, read.member, standing, now)
+
+    def _judge(self, link: MemberLink, member: str, standing: Standing, now: float) -> None:
+        if standing is Standing.WITHIN:
+            self._turns.rank(member, Rank.FIRST)
+            return
+        if standing is Standing.FLOOD:
+            self._rations.on_closed(member, now)
+            link.on_excess(OverBudget(RATION, OVER_FOR, closes=True))
+            return
+        if self._rations.may_report(member, now):
+            link.on_excess(OverBudget(RATION, OVER_FOR, closes=False))
+        if standing is Standing.HELD:
+            self._hold(member)
+        elif member not in self._held:
+            self._turns.rank(member, Rank.BEHIND)
+
+    def _hold(self, member: str) -> None:
+        self._held.add(member)
+        self._turns.rank(member, Rank.HELD)
+        for link in self._links.get(member, ()):
+            link.hold(on=True)
+        self._plan_release()
+
+    def _plan_release(self) -> None:
+        if self._release is not None:
+            self._release.cancel()
+        due = min((self._rations.held_until(member) for member in self._held), default=None)
+        loop = asyncio.get_running_loop()
+        self._release = None if due is None else loop.call_at(due, self._on_release)
+
+    def _on_release(self) -> None:
+        now = asyncio.get_running_loop().time()
+        # Timers of some loops are early by up to a millisecond.
+        free = {member for member in self._held if self._rations.held_until(member) <= now + PAUSE}
+        self._held -= free
+        for member in sorted(free):
+            self._turns.rank(member, Rank.BEHIND)
+            for link in list(self._links.get(member, ())):
+                link.hold(on=False)
+        self._plan_release()
+        if self._next_slice is None:
+            self._slice()

@@ -23,11 +23,15 @@ FOREIGN_PAGE = "another page asks for this, and only the page of 'lfield watch' 
 
 @dataclass(frozen=True, slots=True)
 class Knock:
-    """A request, as far as it says who asks: three headers, '' for none, and whether it acts."""
+    """A request, as far as it says who asks: two headers, '' for none, and whether it acts.
+
+    `sessions` are the values of the cookies that have the page's name: another program on this address may
+    have set one of that name, too.
+    """
 
     host: str
     origin: str = ""
-    session: str = ""
+    sessions: tuple[str, ...] = ()
     acts: bool = False
 
 
@@ -62,7 +66,7 @@ class Door:
         """Why a request is refused, '' when it is answered."""
         if wrong := self.wrong_address(knock):
             return wrong
-        if knock.session not in self._sessions:
+        if self._sessions.keys().isdisjoint(knock.sessions):
             return NO_SESSION
         # Browsers say where a request comes from wherever it changes something, and with each WebSocket.
         if knock.origin not in self._origins and (knock.origin or knock.acts):

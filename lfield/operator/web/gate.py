@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Awaitable, Callable, MutableMapping
-from http.cookies import CookieError, SimpleCookie
+from collections.abc import Awaitable, Callable, Iterable, MutableMapping
 from typing import Any
 from urllib.parse import parse_qs
 
@@ -62,15 +61,9 @@ class Gate:
 
     def _knock(self, scope: Scope) -> Knock:
         headers = {name: value.decode("latin-1") for name, value in scope["headers"]}
-        cookies: SimpleCookie = SimpleCookie()
-        try:
-            cookies.load(headers.get(b"cookie", ""))
-        except CookieError:
-            cookies.clear()
-        morsel = cookies.get(self._cookie)
         acts = scope["type"] == "websocket" or scope["method"] not in ("GET", "HEAD")
-        origin = headers.get(b"origin", "")
-        return Knock(headers.get(b"host", ""), origin, morsel.value if morsel else "", acts)
+        sessions = cookie_values(scope["headers"], self._cookie)
+        return Knock(headers.get(b"host", ""), headers.get(b"origin", ""), sessions, acts)
 
     async def _enter(self, token: str, knock: Knock, send: Send) -> None:
         session = self._door.enter(token)
@@ -85,6 +78,21 @@ class Gate:
             self._entered()
         # The link does not stay in the address bar.
         await _answer(send, 303, "", headers)
+
+
+def cookie_values(headers: Iterable[tuple[bytes, bytes]], name: str) -> tuple[str, ...]:
+    """The values of all cookies of that name in the `cookie` headers of a request (RFC 6265, section 5.4).
+
+    Browsers send the cookies of every program on the same address, whatever its port. Their text is not
+    parsed: a browser accepts cookies that do not follow the grammar, and `http.cookies` then finds none.
+    """
+    pairs = (
+        pair.partition("=")
+        for header, value in headers
+        if header == b"cookie"
+        for pair in value.decode("latin-1").split(";")
+    )
+    return tuple(value.strip() for key, equals, value in pairs if equals and key.strip() == name)
 
 
 def _token(scope: Scope) -> str | None:

@@ -10,7 +10,7 @@ from ipaddress import ip_address
 from typing import TYPE_CHECKING
 
 from lfield.errors import AddressError, KeysError
-from lfield.net.tcp import refusal
+from lfield.net.paths.reasons import refusal
 from lfield.net.tls import as_file
 from lfield.net.transport import join_address
 

@@ -12,11 +12,13 @@ import errno
 import math
 import sys
 import threading
+import warnings
 from collections.abc import AsyncGenerator, Callable, Coroutine, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any, NoReturn
 from weakref import WeakValueDictionary
 
+from lfield.loop import abandon
 from lfield.simulate.computers.machines import Machine
 from lfield.simulate.computers.timeline import Planned
 
@@ -28,6 +30,8 @@ TICK = 1e-9
 IN_A_THREAD = 0.002
 #: Seconds of computing that others wait for; less is owed until it has come to that.
 GRAIN = 0.001
+#: So many `finally` blocks of one coroutine may await something while it is closed.
+UNWINDS = 10
 
 
 #: One reference more, or less, than anybody holds. What is pinned no collector frees, also not at the end.
@@ -248,15 +252,52 @@ class ProcessLoop(asyncio.BaseEventLoop):
 def _pinned(
     loop: asyncio.AbstractEventLoop, coro: Coroutine[Any, Any, Any], **more: Any
 ) -> asyncio.Task[Any]:
-    """A task that stays where it is until it has ended by itself.
+    """A task that stays where it is until it has ended by itself, or until `release`.
 
-    A coroutine that is freed is unwound: its `finally` runs. What SIGKILL ended does nothing of the kind, so
-    nobody may free it. Its memory is gone until the process that simulates ends, some MB for each story.
+    A coroutine that is freed is unwound: its `finally` blocks run. SIGKILL does nothing of the kind, so the
+    tasks of a dead process must not be freed while the simulation runs.
     """
+    assert isinstance(loop, ProcessLoop)
+    pinned = loop.machine.pinned
     task: asyncio.Task[Any] = asyncio.Task(coro, loop=loop, **more)
+    pinned.add(task)
     _pin(task)
-    task.add_done_callback(_unpin)
+
+    def unpin(task: asyncio.Task[Any]) -> None:
+        if task in pinned:
+            pinned.discard(task)
+            _unpin(task)
+
+    task.add_done_callback(unpin)
     return task
+
+
+def release(machine: Machine) -> None:
+    """Free the tasks that its processes have left, once nothing runs on it any more.
+
+    The simulation is over: what their `finally` blocks do now is seen by nobody, and what they raise is
+    dropped.
+    """
+    with warnings.catch_warnings():
+        # A `finally` block may begin a coroutine that nobody awaits.
+        warnings.simplefilter("ignore")
+        while machine.pinned:
+            task = machine.pinned.pop()
+            # asyncio would report a task that is freed before it has ended.
+            task.get_loop().set_exception_handler(lambda loop, context: None)
+            _unwind(task.get_coro())
+            abandon(task)
+            _unpin(task)
+
+
+def _unwind(coroutine: Any) -> None:
+    """Close a coroutine. One that awaits in a `finally` block is closed there as well."""
+    for _ in range(UNWINDS):
+        try:
+            coroutine.close()
+        except Exception:
+            continue
+        return
 
 
 def _nothing() -> None:

@@ -5,7 +5,9 @@ Of each pair of machines each direction is a way of its own, which may be slow, 
 
 from __future__ import annotations
 
+import asyncio
 import random
+from typing import Any
 
 from lfield.simulate.computers.timeline import Timeline
 
@@ -67,6 +69,8 @@ class Machine:
         self.day: tuple[float, float] | None = None
         #: What is plugged in, by endpoint.
         self.hardware: dict[str, object] = {}
+        #: The tasks of its processes that have not ended, those of dead processes too.
+        self.pinned: set[asyncio.Task[Any]] = set()
         self.on = False
         self.switch_on()
 

@@ -36,9 +36,13 @@ class Network:
         #: What fakes have in common, by name.
         self.common: dict[str, Any] = {}
 
+    def join(self, machine: Machine) -> None:
+        """A machine is connected from now on."""
+        self._machines[machine.name] = machine
+
     def plug_in(self, machine: Machine) -> None:
         """A machine hangs on a cable from now on: none of the ways between the others leads through it."""
-        self._machines[machine.name] = machine
+        self.join(machine)
         self.ways.cabled.add(machine.name)
 
     # --- faults ---------------------------------------------------------------------------------------

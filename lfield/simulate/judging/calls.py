@@ -35,6 +35,8 @@ class Calls:
         self.begun = self.restarts = 0
         #: How many calls of each agent have come to an end, since the weather.
         self.ended: defaultdict[str, int] = defaultdict(int)
+        #: Whether all has been well for so long that every host must be reached.
+        self.settled = False
         #: The agents that are done.
         self.over: set[str] = set()
         #: The lives of each agent, and which start of it each of them is at.
@@ -106,6 +108,8 @@ class Calls:
         if word == "done" and call.begun != 1:
             found = f"call {number} of {who} is done, and it began {call.begun} times"
             self._breaches.add("I4", (host,), found)
+        if word == "failed" and self.settled:
+            self._breaches.add("reach", (host,), f"call {number} of {who} could not be made, and all is well")
         if word == "failed" and call.begun:
             self._breaches.add("I4", (host,), f"call {number} of {who} could not be made, and it has begun")
 

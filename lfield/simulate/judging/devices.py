@@ -15,7 +15,8 @@ class Devices:
     """The devices of a team.
 
     `made_for` says for which agent and start a device was commanded, by the arguments; `newest_at` which
-    recovery of an agent was the last to go on before a time.
+    recovery of an agent was the last to go on before a time. `commanded` is told of each command that is made
+    for somebody: the resource, the agent with its start, and when.
     """
 
     def __init__(
@@ -23,8 +24,10 @@ class Devices:
         breaches: Breaches,
         made_for: Callable[[tuple[object, ...]], tuple[str, int]],
         newest_at: Callable[[str, float], int],
+        commanded: Callable[[str, tuple[str, int], float], None],
     ) -> None:
         self._breaches, self._made_for, self._newest_at = breaches, made_for, newest_at
+        self._commanded = commanded
         self._seen: dict[str, int] = {}
         self._actuated: set[tuple[object, ...]] = set()
         self._moves_since: dict[str, float] = {}
@@ -53,3 +56,5 @@ class Devices:
         if generation < newest:
             found = f"{name} was commanded for start {generation} of {agent} at {told.at:.3f} s"
             self._breaches.add("I1", (), f"{found}; {newest} had gone on")
+        if agent:
+            self._commanded(name.rpartition(".")[0], (agent, generation), told.at)

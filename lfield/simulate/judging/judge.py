@@ -7,10 +7,10 @@ I4  no portal call is started twice, and none is skipped without being told
 I5  at every moment some disk holds a state to go on from (`saved.py`)
 
 Of a coordinator that a majority may recover a copy may stand beside its successor, as long as it begins no
-call and commands no device once that one goes on (`calls.py`, `devices.py`). Calls that are begun together
-do not outlive their block (`blocks.py`), and what is reserved is its holder's alone (`reserved.py`). Beside
-them: no start has the number of an earlier one, nobody is called lost who lives, no device moves for nobody
-or has two owners, no host fails, and whoever may go on after the weather does.
+call and commands no device once that one goes on (`calls.py`, `devices.py`). None is recovered that is known
+to have ended (`terminated.py`). Calls begun together do not outlive their block (`blocks.py`), what is
+reserved is its holder's alone (`reserved.py`). Beside them: no start has the number of an earlier one, nobody
+is called lost who lives, no device moves for nobody or has two owners, no host fails, all that may go on do.
 """
 
 from __future__ import annotations
@@ -23,20 +23,20 @@ from lfield.journal.pages import CopyPage, Fence, Page
 from lfield.mobility.generations import is_recovery
 from lfield.simulate.fleet import Fleet, Life
 from lfield.simulate.judging.blocks import Blocks
-from lfield.simulate.judging.breaches import Breach, Breaches
+from lfield.simulate.judging.breaches import Breaches
 from lfield.simulate.judging.calls import Calls
 from lfield.simulate.judging.devices import Devices
+from lfield.simulate.judging.orders import Orders
 from lfield.simulate.judging.reserved import Reserved
 from lfield.simulate.judging.results import Results
 from lfield.simulate.judging.saved import nowhere, shadowed
-from lfield.simulate.judging.witness import tap
+from lfield.simulate.judging.terminated import Terminated
+from lfield.simulate.judging.witness import tap, tap_meter
 from lfield.vm.agent import Agent
-from lfield.vm.begun import Key
 from lfield.wire.coordinators import Transfer
 
 #: A coordinator and one start of it.
 Start = tuple[str, int]
-
 #: A start that is younger than so many seconds may not be known yet to whoever says lost.
 YOUNG = 3.0
 #: So many calls must come to an end after the weather.
@@ -45,18 +45,19 @@ ENOUGH = 3
 
 @dataclass(slots=True, eq=False)
 class _Seen:
-    """One start of a coordinator: when it was first seen, who may have it, and who can run it."""
+    """One start of a coordinator: when it was first seen, who may have it, can run it, and ever had it.
+
+    `copy` is the last one that was in a machine.
+    """
 
     first: float
     holders: set[Life] = field(default_factory=set)
     running: set[Life] = field(default_factory=set)
-    #: Who has ever had it.
     knew: set[Life] = field(default_factory=set)
     #: The hosts that may have it, each with the memory that would tell; that to which it has come, until it
     #: is seen on the disk there.
     places: dict[str, int] = field(default_factory=dict)
     unsaved: str = ""
-    #: Its last copy that was in a machine.
     copy: Agent | None = None
 
     @property
@@ -73,27 +74,24 @@ class Judge:
 
     def __init__(self) -> None:
         self.fleet: Fleet
-        self.breaches: list[Breach] = Breaches(lambda: self.fleet.now)
+        self.breaches = Breaches(lambda: self.fleet.now)
         self._breach = self.breaches.add
+        self._starts: dict[Start, _Seen] = {}
         self._calls = Calls(self.breaches, lambda agent: self._newest_at(agent, math.inf))
-        self._devices = Devices(self.breaches, self._calls.made_for, self._newest_at)
         self._blocks = Blocks(self.breaches, lambda: self.fleet.now, self._newest_at, self._on_disk)
         self._results = Results(self.breaches, self._home)
-        self.reserved = Reserved(
-            self.breaches,
-            lambda: self.fleet.now,
-            lambda: self.fleet.mission.bindings.reservations.lease,
-            self._newest_at,
-            self._on_disk,
-        )
-        #: What is seen of reservations goes to whoever judges them.
+        times = lambda: self.fleet.now, lambda: self.fleet.mission.bindings.reservations.lease
+        self.reserved = Reserved(self.breaches, *times, self._newest_at, self._on_disk)
+        self.orders = Orders(self.breaches, lambda: self.fleet.now, lambda: self.fleet.keeps)
+        self.told = self._blocks.told
+        self._devices = Devices(self.breaches, self._made_for, self._newest_at, self.reserved.commanded)
+        self._terminated = Terminated(self.breaches, lambda: self.fleet, self._starts.keys())
         self.given, self.dropped = self.reserved.given, self.reserved.dropped
         self.asked, self.renewed = self.reserved.asked, self.reserved.renewed
         #: How much was seen: a judge who sees nothing finds nothing.
         self.seen = dict.fromkeys(("injections", "starts", "recoveries"), 0)
         #: When which recovery of each agent was the first to go on.
         self._gone_on: defaultdict[str, dict[int, float]] = defaultdict(dict)
-        self._starts: dict[Start, _Seen] = {}
         self._newest: dict[str, int] = {}
         #: The starts whose number was given twice, by a host that had lost its disk.
         self._void: set[Start] = set()
@@ -114,7 +112,11 @@ class Judge:
         if self._disks_of.setdefault(name, memory) != memory:
             self._disks_of[name] = memory
             self.reserved.lost_disk(member.id for member in life.core.team.on(life.core.here))
+            self.orders.lost_disk(name)
+        self.orders.born(name)
         tap(life, self)
+        tap_meter(life, self.orders.computed)
+        self._terminated.born(life)
 
     @property
     def calls(self) -> int:
@@ -143,8 +145,7 @@ class Judge:
 
     def _again(self, life: Life, agent: Agent, newest: int) -> None:
         """A number that is not new: of who had called nothing yet, or it tells nothing any more."""
-        start = agent.id, agent.generation
-        before = self._starts.get(start)
+        before = self._starts.get(start := (agent.id, agent.generation))
         begun = any(of(*start) for of in (self._calls.any_of, self._blocks.any_of, self.reserved.any_of))
         moved = before and any(other.core.name != life.core.name for other in before.knew)
         if before and self.fleet.keeps and not moved and not begun:
@@ -156,10 +157,8 @@ class Judge:
 
     def _known(self, agent: Agent, home: str) -> bool:
         """Whether another host that lives has had this start, or one with a higher number."""
-        starts = (
-            s for start, s in self._starts.items() if start[0] == agent.id and start[1] >= agent.generation
-        )
-        knew = {life for seen in starts for life in seen.knew}
+        own = (s for (who, start), s in self._starts.items() if who == agent.id and start >= agent.generation)
+        knew = {life for seen in own for life in seen.knew}
         return any(not life.process.loop.dead and life.core.name != home for life in knew)
 
     def came(self, life: Life, header: Transfer) -> None:
@@ -241,6 +240,7 @@ class Judge:
         for agent in self._agents[life]:
             self._starts[agent.id, agent.generation].running.discard(life)
         for agent in run:
+            self.orders.runs(life, agent)
             self._runs(life, (agent.id, agent.generation))
         self._agents[life] = here
 
@@ -262,13 +262,13 @@ class Judge:
                 continue
             self._calls.said(life, agent, line)
 
-    def told(self, life: Life, key: Key) -> None:
-        """What a call gave that was begun here may be fetched from now on."""
-        self._blocks.told(life, key)
-
     def _home(self, member: int) -> str:
         team = self.fleet.mission.team
         return team.hosts[team.members[member].host]
+
+    def _made_for(self, arguments: tuple[object, ...]) -> Start:
+        agent, generation = self._calls.made_for(arguments)
+        return (agent, generation) if agent else self.reserved.made_for(arguments)
 
     def _on_disk(self, name: str) -> list[Page] | None:
         return self.fleet.disks[name].pages() if self.fleet.keeps else None
@@ -279,14 +279,17 @@ class Judge:
         """Look at devices and logs; several times a second."""
         for name, hardware in self.fleet.hardware.items():
             self._devices.look(name, hardware, self.fleet.now)
+            self.orders.look(self.fleet.mission, name, hardware)
         for at, host, text in self.fleet.log[self._told :]:
             self._line(at, host, text)
         self._told = len(self.fleet.log)
         if self.fleet.keeps:
             self._disks()
+            self._terminated.look()
 
     def _disks(self) -> None:
-        going = [(agent, self._latest(agent)) for agent in self._newest if agent not in self._calls.over]
+        latest = [(agent, self._latest(agent)) for agent in self._newest if agent not in self._calls.over]
+        going = [(agent, start) for agent, start in latest if not self.orders.is_given_up(agent, start)]
         kept = [(name, page) for name, disk in self.fleet.disks.items() for page in disk.pages()]
         for name, page in kept:
             self._is_saved(name, page)
@@ -326,7 +329,8 @@ class Judge:
         return not runs and any(self._is_gone(page.target, page.memory) for page in sent)
 
     def _is_gone(self, name: str, memory: int) -> bool:
-        return self.fleet.disks[name].identity != self._memories.get(memory, memory)
+        wrecked = name in self.fleet.gone and not self.fleet.mission.fenced
+        return wrecked or self.fleet.disks[name].identity != self._memories.get(memory, memory)
 
     def _line(self, at: float, host: str, text: str) -> None:
         if "bug in lfield" in text:
@@ -340,11 +344,11 @@ class Judge:
                     hosts = (host, *sorted(life.core.name for life in running))
                     self._breach("lost", hosts, f"{text.strip()}, while start {start[1]} lives")
 
-    def endless(self, sentence: str) -> None:
-        """More happens than may."""
-        self._breach("endless", (), sentence)
-
     # --- after the weather ------------------------------------------------------------------------------
+
+    def settled(self) -> None:
+        """All has been well for so long that every host must be reached."""
+        self._calls.settled = not self.fleet.gone
 
     def healed(self) -> None:
         """The weather is over: from now on everybody must get on."""
@@ -363,30 +367,33 @@ class Judge:
 
     def _owed(self, agent: str) -> bool:
         ended = self._calls.ended[agent] + self._blocks.closed[agent] + self.reserved.closed[agent]
-        if agent in self._calls.over or ended >= ENOUGH:
+        given_up = self.orders.is_given_up(agent, self._newest.get(agent, 0))
+        if agent in self._calls.over or ended >= ENOUGH or given_up:
             return False
         if agent in self.fleet.mission.fenced:
             return shadowed(agent, self.fleet.pages_left)
         if generation := self._latest(agent):
             start = agent, generation
+            if self.fleet.gone and self._doubtful(start):
+                return self.orders.acted and shadowed(agent, self.fleet.pages_left)
             if self.fleet.keeps:
                 return not self._doubtful(start)
             return not any(life.process.loop.dead for life in self._starts[start].holders)
         name = self._homes[agent]
-        # A home that has forgotten waits for all others, and one that has gone is not started again.
-        waits = not self._remembers(name) and bool(self.fleet.left)
+        # A new start waits for all others, and a host that is gone is not started again.
+        waits = bool(self.fleet.gone) or (not self._remembers(name) and bool(self.fleet.left))
         return name in self.fleet.lives and not waits
 
     def end(self) -> None:
         """Time is up: whoever has not got on is stuck."""
         for agent in self.waits_for():
-            hosts = {
-                life.core.name for s, seen in self._starts.items() if s[0] == agent for life in seen.holders
-            }
+            holders = [seen.holders for start, seen in self._starts.items() if start[0] == agent]
+            hosts = {life.core.name for some in holders for life in some}
+            lines = (text.strip() for _, _, text in self.fleet.log if agent in text)
             told = [
-                text.strip() for _, _, text in self.fleet.log if agent in text and "." not in text.split()[0]
+                f"; last was said: {text.splitlines()[0]}" for text in lines if "." not in text.split()[0]
             ]
-            last = f"; last was said: {told[-1].splitlines()[0]}" if told else ""
+            last = told[-1] if told else ""
             self._breach("stuck", tuple(sorted(hosts)), f"{agent} does not go on after the weather{last}")
         for name in sorted(self.fleet.failed):
             self._breach("host", (name,), "it has failed")

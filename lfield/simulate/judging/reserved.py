@@ -30,6 +30,7 @@ class _Resource:
 
     number: int = 0
     holder: tuple[str, int] = ("", 0)
+    since: float = 0.0
     until: float = 0.0
 
 
@@ -56,6 +57,8 @@ class Reserved:
         self.rounds: Counter[str] = Counter()
         self.closed: Counter[str] = Counter()
         self._begun_for: set[tuple[str, int]] = set()
+        #: For which start each round of a life has begun a call last, by what the life has drawn.
+        self._rounds_of: dict[tuple[float, float], tuple[str, int]] = {}
 
     def healed(self) -> None:
         """The weather is over."""
@@ -73,8 +76,8 @@ class Reserved:
     def said(self, life: Life, agent: Agent, words: list[str]) -> bool:
         """A program has written a line; whether it is about a reservation."""
         match words:
-            case ["uses", who, _, how]:
-                self._uses(life, agent, who.partition(".")[0], how)
+            case ["uses", who, number, how]:
+                self._uses(life, agent, who, int(number), how)
             case ["quits", _, _, how]:
                 self.rounds[how] += 1
                 self.closed[agent.id] += 1
@@ -105,7 +108,7 @@ class Reserved:
             found = f"{resource.id} is given to {start} while it works for {', '.join(sorted(others))}"
             self._breaches.add("busy", host, found)
         known.number, known.holder = max(number, known.number), start
-        known.until = self._now() + SURELY * self._lease()
+        known.since, known.until = self._now(), self._now() + SURELY * self._lease()
 
     def dropped(self, agent: Agent, held: Sequence[tuple[Member, int]]) -> None:
         """A coordinator has left a block."""
@@ -133,10 +136,32 @@ class Reserved:
         if self._now() < known.until:
             known.until = self._now() + SURELY * self._lease()
 
+    # --- what devices were told -----------------------------------------------------------------------
+
+    def made_for(self, arguments: tuple[object, ...]) -> tuple[str, int]:
+        """For which agent and start a device was commanded, by the arguments of that; '' for nobody known."""
+        drawn, number = arguments[:2]
+        assert isinstance(drawn, float)
+        assert isinstance(number, float)
+        return self._rounds_of.get((drawn, number), ("", 0))
+
+    def commanded(self, resource: str, start: tuple[str, int], at: float) -> None:
+        """The device of a resource was commanded for a start of a coordinator."""
+        known = self._resources[resource]
+        agent, generation = known.holder
+        if agent in ("", start[0]) or not known.since < at < known.until:
+            return
+        if generation >= self._newest_at(agent, at):
+            found = (
+                f"the device of {resource} was commanded for {start} at {at:.3f} s, and {known.holder} has it"
+            )
+            self._breaches.add("reserved", (), found)
+
     # --- what resources say ---------------------------------------------------------------------------
 
-    def _uses(self, life: Life, resource: Agent, name: str, how: str) -> None:
+    def _uses(self, life: Life, resource: Agent, who: str, number: int, how: str) -> None:
         self.begun[how] += 1
+        name, _, drawn = who.partition(".")
         known, host = self._resources[resource.id], (life.core.name,)
         generation = max(_callers(life, resource).get(name, ()), default=0)
         if not generation:
@@ -144,6 +169,7 @@ class Reserved:
             return
         start = name, generation
         self._begun_for.add(start)
+        self._rounds_of[float(drawn), float(number)] = start
         if self._is_alone(life, known, start):
             found = f"a portal of {resource.id} began for {start}, and {known.holder} has it"
             self._breaches.add("reserved", host, found)
@@ -151,9 +177,9 @@ class Reserved:
             return
         agent = life.core.machine.agents.get(name)
         held = life.core.machine.held(agent) if agent is not None and agent.generation == generation else ()
-        number = next((number for member, number in held if member.id == resource.id), 0)
-        if (known.holder, known.number) != (start, number):
-            found = f"a portal of {resource.id} began for {start} by {number}, not {known.number}"
+        mark = next((mark for member, mark in held if member.id == resource.id), 0)
+        if (known.holder, known.number) != (start, mark):
+            found = f"a portal of {resource.id} began for {start} by {mark}, not {known.number}"
             self._breaches.add("stale", host, found)
 
     def _is_alone(self, life: Life, known: _Resource, other: tuple[str, int]) -> bool:

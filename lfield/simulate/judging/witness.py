@@ -119,8 +119,20 @@ def tap(life: Life, sees: Sees) -> None:
         (machine, start), (machine, admit), (machine, restore), (machine, resume), (machine, kept_result),
         (core, arrived), (core, run), (core.world, write), (core.world, log), (peers, send_transfer),
     ):  # fmt: skip
-        _tap(place, wire)
+        tap_calls(place, wire)
     _tap_reservations(life, sees)
+
+
+def tap_meter(life: Life, computed: Callable[[Life], None]) -> None:
+    """Let somebody see when the machine of a life has run an agent."""
+    charge = life.core.machine.attached.meter
+
+    def meter(instructions: int) -> None:
+        computed(life)
+        if charge is not None:
+            charge(instructions)
+
+    life.core.machine.attached.meter = meter
 
 
 def _tap_reservations(life: Life, sees: Sees) -> None:
@@ -152,10 +164,10 @@ def _tap_reservations(life: Life, sees: Sees) -> None:
         go(host, message)
 
     for place, wire in ((core.world, take), (core.world, drop), (core.world, serves), (core, received)):
-        _tap(place, wire)
+        tap_calls(place, wire)
 
 
-def _tap(place: object, wire: Callable[..., Any]) -> None:
+def tap_calls(place: object, wire: Callable[..., Any]) -> None:
     """Lead every call of a method of this name through `wire`, which is given the method first."""
     go = getattr(place, wire.__name__)
 

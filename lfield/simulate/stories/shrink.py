@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import replace
 
-from lfield.simulate.stories.story import KINDS, Story, drawn
+from lfield.simulate.stories.drawing import KINDS, drawn
+from lfield.simulate.stories.story import Story
 from lfield.simulate.stories.trial import Verdict, tell
 
 #: So many smaller stories are tried at most.
@@ -59,7 +60,7 @@ def _smaller(verdict: Verdict) -> Iterator[Story]:
 def command(story: Story) -> str:
     """The one command that tells this story again."""
     usual, words = drawn(story.seed), [f"python -m lfield.simulate --story {story.seed}"]
-    if usual.kind != story.kind:
+    if (usual.kind, usual.means, usual.slowness) != (story.kind, story.means, story.slowness):
         usual = KINDS[story.kind](story.seed)
         words.append(f"--as {story.kind}")
     for name in ("hosts", "walkers", "arms", "seconds"):

@@ -8,17 +8,17 @@ from __future__ import annotations
 
 import random
 import tempfile
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 
 from lfield.bytecode.program import Program
-from lfield.mission.bindings import USUAL_LEASE, USUAL_RESERVATION, Recovery, ReservationTimes
+from lfield.mission.bindings import MOST_MEMBERS, USUAL_LEASE, USUAL_RESERVATION, ReservationTimes
 from lfield.mission.load import load_mission
 from lfield.mission.mission import Mission
-from lfield.simulate.stories import crews, keepers
-from lfield.simulate.weather import Fault, Weather
+from lfield.simulate.stories import crews, flown, keepers
+from lfield.simulate.weather import ORDERS, Fault, Weather
 
 #: Every start of a coordinator draws a number; with its name that is its *life*.
 PROGRAM = """
@@ -90,7 +90,7 @@ _PROGRAMS: dict[bytes, Program] = {}
 #: What a walker does that never ends.
 FOR_EVER = -1
 #: What may strike in any story.
-USUAL = [kind for kind in Weather.__dataclass_fields__ if kind != "swap"]
+USUAL = [kind for kind in Weather.__dataclass_fields__ if kind not in ("swap", "split", *ORDERS)]
 #: Seconds between two faults of a kind at least and at most, and how likely each kind is in a story.
 BETWEEN, LIKELY = (0.7, 6.0), 0.35
 #: So many stories are of hosts that keep journals; the others forget, as many a trial does.
@@ -98,9 +98,8 @@ KEEP = 0.75
 #: So many of 32 times a walker calls where it has called before: one that may be recovered mostly, so that it
 #: works on where it is cut off.
 STAYS, STAYS_ON = 8, (26, 31, 31)
-#: Of what kinds stories of hosts with journals are. Of coordinators that a majority may recover they have
-#: nothing that leases do not hold under, and more time, in seconds.
-KEPT, DOUBTFUL = ("plain", "plain", "fenced", "doubted"), ("doubted", "parted")
+#: Stories of coordinators that a majority may recover have nothing that leases do not hold under, and more
+#: time, in seconds.
 NOT_FENCED, LONGER = ("disk_new", "race"), 6.0
 #: What lets a host doubt another one that goes on; how likely each is then.
 DOUBTS, LIKELY_DOUBT = ("cut", "mute", "island", "stop", "kill"), 0.6
@@ -108,10 +107,10 @@ DOUBTS, LIKELY_DOUBT = ("cut", "mute", "island", "stop", "kill"), 0.6
 OFTEN, DOUBTED = (2.0, 8.0), 8.0
 #: Seconds without a sign until a coordinator is recovered; how long a lease lasts.
 INTERVALS, LEASES = (1.0, 1.0, 1.0, 2.0, 4.0, 10.0), (1.0, 2.0, 2.0, 4.0)
-#: So many of the stories of hosts with journals are of crews, and so many of those of keepers instead.
-CREWS, KEEPERS = 0.25, 0.5
 #: Seconds that a reservation of theirs lasts unheard, and that others wait for what is reserved.
 RESERVATIONS, RESERVED_WAITS = (1.0, 2.0, 4.0), (0.0, 0.5, 3.0, 10.0)
+#: So many hosts decide in a team of more than nine.
+DECIDERS = 5
 #: Seconds that a disk takes: one of a laptop, and one of a small board on a memory card.
 DISKS = (0.002, 0.002, 0.05)
 
@@ -126,7 +125,7 @@ class Story:
     `hosts` and `seconds` are what is left when a story is made smaller. With an `interval` a majority of the
     hosts may recover walkers, under leases of `lease`; then the last of them, `witnesses`, have no agents. A
     walker `stays` where it is so many of 32 times. What it reserves is its own for `reservation` unheard, and
-    others wait `reserved_wait` for it.
+    others wait `reserved_wait` for it. Code takes `slowness` times its usual processor time.
     """
 
     seed: int
@@ -150,6 +149,7 @@ class Story:
     stays: int = STAYS
     reservation: float = USUAL_RESERVATION
     reserved_wait: float = 0.0
+    slowness: float = 1.0
     keep: frozenset[int] | None = None
 
     @property
@@ -162,7 +162,8 @@ class Story:
         team = self.hosts, posts, self.walkers, self.arms
         program = PROGRAMS.get(self.kind, PROGRAM)
         times = self.lease, self.reservation, self.reserved_wait
-        return _mission(*team, "&".join(words), *times, program)
+        deciders = DECIDERS if self.hosts > MOST_MEMBERS else 0
+        return _mission(*team, "&".join(words), *times, program, deciders)
 
     @property
     def forecast(self) -> list[Fault]:
@@ -178,18 +179,6 @@ class Story:
 
     def _names(self, hosts: int) -> set[str]:
         return {f"h{n}" for n in range(hosts)}
-
-
-def drawn(seed: int) -> Story:
-    """The story of a seed."""
-    story = plain(seed)
-    if not story.journals:
-        return forgetful(seed)
-    if random.Random(f"together {seed}").random() < CREWS:
-        return (keeper if random.Random(f"reserve {seed}").random() < KEEPERS else crew)(seed)
-    dice = random.Random(f"kind {seed}")
-    kind = dice.choice(KEPT)
-    return KINDS[dice.choice(DOUBTFUL) if kind == "doubted" else kind](seed)
 
 
 def plain(seed: int) -> Story:
@@ -280,6 +269,24 @@ def parted(seed: int) -> Story:
     return replace(doubted(seed), kind="parted", means={"swap": mean})
 
 
+def ending(seed: int) -> Story:
+    """One of coordinators that terminate soon, while some hosts hear of that and others do not."""
+    story, dice = doubted(seed), random.Random(f"ending {seed}")
+    hosts = dice.choice((3, 3, 4, 5))
+    kinds = ["cut", *(kind for kind in DOUBTS[1:] if dice.random() < LIKELY)]
+    return replace(
+        story,
+        kind="ending",
+        cast=hosts,
+        hosts=hosts,
+        witnesses=dice.choice((0, 1)),
+        calls=dice.randint(1, 8),
+        stay=dice.choice((0.04, 1.0)),
+        stays=dice.choice(STAYS_ON),
+        means={kind: dice.uniform(0.5, 4.0) for kind in kinds},
+    )
+
+
 def crew(seed: int) -> Story:
     """One of coordinators that have several resources work at a time; a majority may recover some of them."""
     dice = random.Random(f"crew {seed}")
@@ -314,18 +321,10 @@ def keeper(seed: int) -> Story:
     )
 
 
-#: Stories by what becomes of their coordinators.
-KINDS: Mapping[str, Callable[[int], Story]] = {
-    "plain": plain,
-    "forgetful": forgetful,
-    "fenced": fenced,
-    "doubted": doubted,
-    "parted": parted,
-    "crew": crew,
-    "keeper": keeper,
-}
 #: What is flown where it is not the usual program.
-PROGRAMS = {"crew": crews.PROGRAM, "keeper": keepers.PROGRAM}
+PROGRAMS = {"crew": crews.PROGRAM, "keeper": keepers.PROGRAM, "flown": flown.PROGRAM}
+#: In which every round may have to wait for what others have reserved.
+RESERVES = ("keeper", "flown")
 
 
 @lru_cache(maxsize=256)
@@ -339,6 +338,7 @@ def _mission(
     reservation: float,
     reserved_wait: float,
     program: str,
+    deciders: int,
 ) -> Mission:
     lines = [f"//Post:p{n}@h{n}" for n in range(posts)]
     lines += [f"//@h{n}" for n in range(posts, hosts)]
@@ -349,10 +349,15 @@ def _mission(
         deployment = Path(folder) / "story.dL"
         deployment.with_suffix(".L").write_text(program, encoding="utf-8")
         deployment.write_text("\n".join([*lines, ""]), encoding="utf-8")
+        if deciders:
+            members = ", ".join(f"h{n}" for n in range(deciders))
+            devices = f"recovery: {{members: [{members}]}}\n"
+            deployment.with_suffix(".devices.yaml").write_text(devices, encoding="utf-8")
         mission = load_mission(deployment, simulate=True)
     # What hosts prepare of a program is as large as they are: one program is enough.
     times = ReservationTimes(reservation, reserved_wait)
-    bindings = replace(mission.bindings, recovery=Recovery(lease), reservations=times)
+    recovery = replace(mission.bindings.recovery, lease=lease)
+    bindings = replace(mission.bindings, recovery=recovery, reservations=times)
     return replace(
         mission, bindings=bindings, program=_PROGRAMS.setdefault(mission.program.digest, mission.program)
     )

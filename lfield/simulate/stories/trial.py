@@ -6,14 +6,16 @@ import contextlib
 import gc
 import hashlib
 import io
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 from lfield import exits
+from lfield.mission.bindings import MOST_MEMBERS
 from lfield.simulate.computers.timeline import Endless
 from lfield.simulate.fleet import Fleet
 from lfield.simulate.judging.breaches import Breach
-from lfield.simulate.judging.judge import Judge
-from lfield.simulate.stories.story import Story
+from lfield.simulate.judging.judge import ENOUGH, Judge
+from lfield.simulate.stories.story import RESERVES, Story
 from lfield.simulate.weather import Storm
 
 #: Seconds between two looks at devices and logs.
@@ -23,13 +25,17 @@ MOST_EVENTS = 200_000
 #: Seconds after the weather in which whoever may go on must have done so, beside those that a call waits: a
 #: greeting that nobody answered is given up after 10 s.
 PATIENCE = 25.0
+#: Seconds until hosts without a link must reach each other when they want to, and for how long coordinators
+#: go from one to the other then.
+SETTLES, ROAMS = 12.0, 4.0
 
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
     """What came of a story. `seconds` of virtual time; `faults` as they struck.
 
-    `calls` that began, `restarts` that a walker was told of, starts that a majority has `recovered`.
+    `calls` that began, `restarts` that a walker was told of, starts that a majority or a person has
+    `recovered`, `orders` of a person that hosts have carried out, by kind.
     """
 
     story: Story
@@ -40,6 +46,7 @@ class Verdict:
     calls: int
     restarts: int
     recovered: int
+    orders: Mapping[str, int] = field(default_factory=dict)
     log: tuple[tuple[float, str, str], ...] = ()
 
 
@@ -63,11 +70,12 @@ def _told(story: Story, *, keep_log: bool) -> Verdict:
         lost_after=story.lost_after,
         keeps=story.journals,
         born=judge.born,
+        slowness=story.slowness,
     )
     for disk in fleet.disks.values():
         disk.sync = story.sync
     fleet.timeline.most = MOST_EVENTS
-    storm = Storm(fleet, story.forecast)
+    storm = Storm(fleet, story.forecast, judge.orders)
     # A guard whose host is gone tells the terminal.
     with contextlib.redirect_stderr(io.StringIO()):
         _happen(fleet, storm, judge, story)
@@ -75,8 +83,9 @@ def _told(story: Story, *, keep_log: bool) -> Verdict:
     said = hashlib.sha256(f"{fleet.digest} {fleet.timeline.events} {storm.faults}".encode()).hexdigest()
     log = tuple(fleet.log) if keep_log else ()
     recovered, faults = judge.seen["recoveries"], tuple(storm.faults)
-    breaches = tuple(judge.breaches)
-    return Verdict(story, breaches, said, fleet.now, faults, judge.calls, judge.restarts, recovered, log)
+    breaches, orders = tuple(judge.breaches), dict(storm.operator.carried_out) if storm.operator else {}
+    counts = judge.calls, judge.restarts, recovered, orders
+    return Verdict(story, breaches, said, fleet.now, faults, *counts, log)
 
 
 def _happen(fleet: Fleet, storm: Storm, judge: Judge, story: Story) -> None:
@@ -87,13 +96,20 @@ def _happen(fleet: Fleet, storm: Storm, judge: Judge, story: Story) -> None:
     if story.journals:
         fleet.recall()
     judge.healed()
-    end = fleet.now + PATIENCE + story.unreachable_after + story.interval
+    waits = ENOUGH * story.reserved_wait * (story.kind in RESERVES)
+    end = fleet.now + PATIENCE + story.unreachable_after + story.interval + waits
     while judge.waits_for() and fleet.now < end and not judge.breaches:
         # One that stood still may end in order, or give the others up, just when all is well again.
         fleet.heal_all()
+        if storm.operator is not None:
+            storm.operator.free_all()
         if story.journals:
             fleet.recall(exits.UNHEARD)
         _until(fleet, judge, fleet.now + 1.0)
+    if story.hosts > MOST_MEMBERS and not judge.breaches:
+        _until(fleet, judge, fleet.now + SETTLES + story.unreachable_after)
+        judge.settled()
+        _until(fleet, judge, fleet.now + ROAMS)
     if not judge.breaches:
         judge.end()
 
@@ -104,4 +120,4 @@ def _until(fleet: Fleet, judge: Judge, when: float) -> None:
             fleet.run(min(LOOK, when - fleet.now))
             judge.look()
     except Endless as error:
-        judge.endless(str(error))
+        judge.breaches.add("endless", (), str(error))

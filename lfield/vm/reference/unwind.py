@@ -13,7 +13,7 @@ from lfield.bytecode.program import (
     FINALLY,
     LANDING,
     LIMIT,
-    OVER,
+    NO_LIMIT,
     TRACE,
     Handler,
     Program,
@@ -77,7 +77,7 @@ def find_handler(block: Block, program: Program, frame: int, pc: int, thrown: in
             catch = row
         elif handler.kind == LANDING and catch is not None:
             return catch
-        elif handler.kind == LIMIT and block.w[row[0] + FRAME_SLOTS + handler.slot] == OVER:
+        elif handler.kind == LIMIT and block.w[row[0] + FRAME_SLOTS + handler.slot] < NO_LIMIT:
             if last is not None:
                 return last
             catch = None

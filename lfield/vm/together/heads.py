@@ -30,10 +30,12 @@ from lfield.vm.memory.layout import (
 from lfield.vm.reserve.held import Held
 from lfield.vm.scheduler import Scheduler
 from lfield.vm.together.beginning import Beginnings, collect, gather, settle
-from lfield.vm.together.outcomes import RESTARTED, Outcomes
+from lfield.vm.together.outcomes import RESTARTED, UNREACHABLE, Outcomes
 from lfield.vm.together.visits import Ticket, Visits
 
 RESERVED = "ReservedException"
+#: Of a call whose host cannot be reached when the time is over.
+UNREACHED = "its host cannot be reached; that ends the call itself, since its time is over"
 Handler = Callable[[Agent, int, int, list[int]], None]
 
 
@@ -169,7 +171,11 @@ class Together:
     # --- leave ----------------------------------------------------------------------------------------
 
     def _leave(self, agent: Agent, thread: int, operand: int, words: list[int]) -> None:
-        """First all are told, host by host, then they are waited for."""
+        """First all are told, host by host, then they are waited for.
+
+        When a time limit around the block is over, hosts that cannot be reached are not waited for: they know
+        of the limit, and end the calls themselves.
+        """
         for state in (BEGUN, TOLD):
             self._outcomes.expire(agent, thread, state)
         for ticket in self._visits.tickets(agent, thread):
@@ -177,11 +183,27 @@ class Together:
                 ticket.w[ticket.place + TICKET_STATE], ticket.w[ticket.place + TICKET_CALL] = BACK, 0
             elif ticket.state == BEGUN and self._visits.is_here(ticket):
                 self._tell(agent, ticket)
-        if self._departs(agent, thread, BEGUN) or self._waits(agent, thread, TOLD):
+        if self._departs_in_time(agent, thread, BEGUN) or self._waits(agent, thread, TOLD):
             return
-        if not self._departs(agent, thread, TOLD):
+        if not self._departs_in_time(agent, thread, TOLD):
             self._report(agent, thread)
             self._clear(agent, thread)
+
+    def _departs_in_time(self, agent: Agent, thread: int, state: int) -> bool:
+        """As `_departs`; but who is over its time limit goes to no host that it cannot reach at once."""
+        is_silent = self._scheduler.attached.is_silent
+        if is_silent is None or not self._limits.is_block_over(agent):
+            return self._departs(agent, thread, state)
+        while away := self._visits.away(self._visits.tickets(agent, thread), state):
+            target = self._visits.resource(away[0])
+            if not is_silent(target):
+                self._departs(agent, thread, state)
+                if not (agent.frozen and self._scheduler.world.give_up(agent)):
+                    return True
+                agent.frozen = False
+            for number in [ticket.number for ticket in away]:
+                self._outcomes.throw(agent, thread, number, UNREACHABLE, UNREACHED)
+        return False
 
     def _tell(self, agent: Agent, ticket: Ticket) -> None:
         """Cancel a call that runs here, if it still does."""
@@ -198,7 +220,7 @@ class Together:
             return
         thrown = self._visits.words(agent, thread)[1]
         if thrown and traceback.describe(agent.block, self._scheduler.program, thrown)[0] == TIME_LIMIT:
-            self._outcomes.explain(agent, thread)
+            self._outcomes.explain(agent, thread, self._limits.lateness(agent))
         self._outcomes.beside(agent, thread)
 
     def _clear(self, agent: Agent, thread: int) -> None:

@@ -127,10 +127,15 @@ class Outcomes:
             lambda: self._join(agent, self._visits.words(agent, thread)[1], *(t.thrown for t in real())),
         )
 
-    def explain(self, agent: Agent, thread: int) -> None:
-        """A time limit that is over says what became of each call that it has begun."""
+    def explain(self, agent: Agent, thread: int, late: float) -> None:
+        """A time limit that is over says what became of each call that it has begun, and by how many seconds
+        its block ends late."""
         begun = [ticket for ticket in self._visits.tickets(agent, thread) if ticket.generation]
         what = "; ".join(f"{self._visits.name(ticket)} {self._became(agent, ticket)}" for ticket in begun)
+        if late:
+            what = (
+                f"{what}; " * bool(what) + f"the block ends {late:.1f} s late since it waited for its calls"
+            )
         if not what:
             return
 

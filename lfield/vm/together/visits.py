@@ -201,6 +201,14 @@ class Visits:
             f"; {called} has begun, and was not heard of again" if begun else f" before {called} could begin"
         )
 
+    def keeps_waiting(self, agent: Agent) -> str:
+        """Why a frozen coordinator cannot go on at once: it may be elsewhere, or is being written."""
+        called = self.calling(agent)
+        if called is None or called[0].host == self._here:
+            return "it was being written to the disk"
+        host = self._scheduler.world.host_of(called[0])
+        return f"it was sent to {host}, and may have arrived there"
+
     def fetches(self, agent: Agent) -> bool:
         """Whether what a frozen coordinator waits for is a call of a `together` that has begun."""
         wanted = self.wanted(agent) if self.head(agent) else []

@@ -15,11 +15,11 @@ from lfield_sim.autopilot.flavours import Control, Kind, Result, Role
 from lfield_sim.autopilot.flight import fly, suffer
 from lfield_sim.autopilot.lifting import begin_takeoff, disarm_when_idle, rise
 from lfield_sim.autopilot.missions import why_no_mission
+from lfield_sim.autopilot.pace import RoverPace
 from lfield_sim.autopilot.pilot import Pilot
 from lfield_sim.autopilot.stacks import ardupilot, px4
 from lfield_sim.autopilot.watch.failsafes import Failsafes
 from lfield_sim.autopilot.watch.readiness import Unfit, news, why_unfit
-from lfield_sim.autopilot.watch.sticks import hand_over
 
 #: Every vehicle there is, by flavour and kind.
 FLAVOURS: Mapping[str, Mapping[str, Kind]] = {"ardupilot": ardupilot.KINDS, "px4": px4.KINDS}
@@ -77,10 +77,11 @@ class Autopilot(Pilot):
         ):
             self.say(text)
         self.failsafes.check(dt)
-        hand_over(self)
         if self.flavour.drifts:
             self.homing.step(dt, self.vehicle.place, flying=self.vehicle.airborne)
         self.vehicle.limits.cruise = self.pace.speed
+        if isinstance(self.pace, RoverPace):
+            self.vehicle.limits.shoots_over = self.pace.is_commanded
         self.payload.step(dt)
         self.battery.step(dt, armed=self.armed, flying=self.vehicle.airborne, load=self.vehicle.wind.load)
         self.vehicle.wind.step(dt)

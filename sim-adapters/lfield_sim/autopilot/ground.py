@@ -14,6 +14,8 @@ TURNS = 0.3
 PIVOTS = math.radians(10.0)
 #: m/s2 by which an overshoot goes back; m/s2 that rolling takes beside the share of the speed.
 SETTLES, FRICTION = 0.2, 0.02
+#: m/s from which on the speed to a place is not overshot: 2 and 3 are, 5 is not (ap-rover.c-speed).
+SHOOTS = 4.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,14 +115,22 @@ class GroundVehicle(Vehicle):
 
     def _overshoot(self, wanted: float, along: float, dt: float) -> float:
         """By how much it is faster than it should be: after speeding up, for a while."""
-        if not isinstance(self.goal, Keep | Reach):
+        most = self._most_overshoot(wanted)
+        if not most:
             self._excess = 0.0
         elif wanted - along > 0.5:
-            to_place = min(self.limits.overshoot_share * wanted**2, self.limits.overshoot)
-            self._excess = self.limits.overshoot if isinstance(self.goal, Keep) else to_place
+            self._excess = most
         elif along > wanted:
             self._excess = max(0.0, self._excess - SETTLES * dt)
         return self._excess
+
+    def _most_overshoot(self, wanted: float) -> float:
+        """Over a velocity, and over a slow speed to a place that was commanded."""
+        limits = self.limits
+        if isinstance(self.goal, Keep):
+            return limits.overshoot
+        at_cruise = limits.shoots_over and 0.99 * limits.cruise < wanted < SHOOTS
+        return limits.overshoot_share * wanted**2 if at_cruise and isinstance(self.goal, Reach) else 0.0
 
     def _turning(self, speed: float) -> float:
         if not self.wheels.radius:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 from lfield_sim.autopilot.body.goals import Circle, Descend, Reach, Vector
 from lfield_sim.autopilot.flavours import Role
@@ -12,14 +13,24 @@ from lfield_sim.autopilot.plans import MissionItem
 
 # MAV_CMDs of mission items that are flown; others are done at once.
 WAYPOINT, LOITER, LOITER_TURNS, LOITER_TIME, RETURN, LAND, TAKEOFF = 16, 17, 18, 19, 20, 21, 22
-DELAY, JUMP = 93, 177
+CLIMB_ON, LOITER_TO_HEIGHT, ARC, SPLINE, VTOL_TAKEOFF, VTOL_LAND = 30, 31, 36, 82, 84, 85
+GUIDED, DELAY, PLACE_PAYLOAD, JUMP, TAG, JUMP_TO_TAG = 92, 93, 94, 177, 600, 601
 #: How ArduPilot calls what it begins, for its texts.
 NAMES = {
     WAYPOINT: "WP", LOITER: "LoitUnlim", LOITER_TURNS: "LoitTurns", LOITER_TIME: "LoitTime", RETURN: "RTL",
-    LAND: "Land", TAKEOFF: "Takeoff", DELAY: "Delay",
+    LAND: "Land", TAKEOFF: "Takeoff", DELAY: "Delay", LOITER_TO_HEIGHT: "LoitAltitude", ARC: "ArcWP",
+    SPLINE: "SplineWP", VTOL_TAKEOFF: "VTOLTakeoff", VTOL_LAND: "VTOLLand", GUIDED: "GuidedEnable",
+    PLACE_PAYLOAD: "PayloadPlace",
 }  # fmt: skip
 #: What needs to be in the air.
-FLOWN = frozenset({WAYPOINT, LOITER, LOITER_TURNS, LOITER_TIME})
+FLOWN = frozenset({WAYPOINT, LOITER, LOITER_TURNS, LOITER_TIME, LOITER_TO_HEIGHT, ARC, SPLINE})
+TAKEOFFS, LANDINGS = frozenset({TAKEOFF, VTOL_TAKEOFF}), frozenset({LAND, VTOL_LAND})
+#: What is navigation, so that a takeoff must come before it. CLIMB_ON is passed over by what hovers.
+NAVIGATION = FLOWN | TAKEOFFS | LANDINGS | {RETURN, CLIMB_ON, GUIDED, PLACE_PAYLOAD}
+#: Of a waypoint, parameter 1 is a time in seconds; of a spline, too.
+TIMED = frozenset({WAYPOINT, LOITER_TIME, SPLINE})
+#: Metres above the ground at which a payload is put down.
+PUT_DOWN = 0.2
 #: Metres within which a place is reached.
 AT_PLACE = 1.0
 #: Half the longest time that an item can wait, in seconds.
@@ -33,9 +44,15 @@ def why_no_mission(pilot: Pilot) -> tuple[str, ...]:
         waits = pilot.flavour.takeoff_mode and not pilot.armed
         return () if waits else pilot.flavour.no_mission
     grounded = pilot.flies and pilot.armed and not pilot.vehicle.airborne
-    if grounded and not pilot.flavour.takeoff_mode and items[0].command != TAKEOFF:
+    if grounded and not pilot.flavour.takeoff_mode and not _begins_with_takeoff(items):
         return ("Auto: Missing Takeoff Cmd",)
     return ()
+
+
+def _begins_with_takeoff(items: Sequence[MissionItem]) -> bool:
+    """Whether the first item of navigation is a takeoff; delays and what is done at once may precede it."""
+    first = next((item.command for item in items if item.command in NAVIGATION), None)
+    return first in TAKEOFFS
 
 
 def fly_mission(pilot: Pilot) -> None:
@@ -65,7 +82,7 @@ def tell_begun(pilot: Pilot, item: MissionItem) -> None:
         pilot.say(f"Mission: {number} {NAMES[item.command]}")
     elif pilot.flavour.takeoff_mode and number == 0:
         pilot.say("Executing Mission\t")
-        if item.command == TAKEOFF and item.place is not None:
+        if item.command in TAKEOFFS and item.place is not None:
             pilot.say(f"Climb to {pilot.home[2] - item.place[2]:.1f} meters above home\t")
 
 
@@ -91,27 +108,33 @@ def _must_climb_first(pilot: Pilot, item: MissionItem) -> bool:
 
 def _begin(pilot: Pilot, item: MissionItem) -> None:
     place = item.place or pilot.vehicle.place
-    if pilot.flavour.takeoff_mode and item.command in (*FLOWN, TAKEOFF):
+    if pilot.flavour.takeoff_mode and item.command in FLOWN | TAKEOFFS:
         # PX4's fourth value is a heading; with NaN the nose goes first.
         heading = item.values[3]
         pilot.vehicle.yaw_goal = None if math.isnan(heading) else math.radians(_bounded(heading))
-    if item.command in FLOWN or item.command == LAND:
+    if item.command == PLACE_PAYLOAD:
+        # At the height that it has; down it goes when it is there.
+        pilot.vehicle.goal = Reach((*place[:2], pilot.vehicle.place[2]))
+    elif item.command in FLOWN | LANDINGS:
         pilot.vehicle.goal = Reach(place)
-    elif item.command == TAKEOFF and pilot.flies:
+    elif item.command in TAKEOFFS and pilot.flies:
         begin_takeoff(pilot, place[2])
     elif item.command == RETURN:
         # The mission has done its part; the way home is the other mode's.
         pilot.mission.reach()
         pilot.fall_back(Role.RETURN)
-    elif item.command == JUMP:
+    elif item.command in (JUMP, JUMP_TO_TAG):
         _jump(pilot, item)
-    elif item.command != DELAY:
+    elif item.command not in (CLIMB_ON, DELAY, GUIDED, TAG):
         pilot.perform(item)
 
 
 def _jump(pilot: Pilot, item: MissionItem) -> None:
     mission, here = pilot.mission, pilot.mission.current
     goal, times = (int(_bounded(value)) for value in item.values[:2])
+    if item.command == JUMP_TO_TAG:
+        tags = (n for n, each in enumerate(mission.items) if each.command == TAG and each.values[0] == goal)
+        goal = next(tags, -1)
     taken = mission.jumps.get(here, 0)
     if (times < 0 or taken < times) and mission.jump(goal):
         mission.jumps[here] = taken + 1
@@ -120,10 +143,14 @@ def _jump(pilot: Pilot, item: MissionItem) -> None:
 def _done(pilot: Pilot, item: MissionItem) -> bool:
     if item.command in FLOWN:
         return _arrived(pilot, item) and item.command != LOITER and _waited(pilot, _stay_time(pilot, item))
-    if item.command == TAKEOFF and pilot.flies:
+    if item.command in TAKEOFFS and pilot.flies:
         return pilot.vehicle.place[2] <= (item.place or pilot.vehicle.place)[2] + AT_HEIGHT
-    if item.command == LAND:
+    if item.command in LANDINGS:
         return _landed(pilot, item)
+    if item.command == PLACE_PAYLOAD:
+        return _placed(pilot, item)
+    if item.command == GUIDED:
+        return not item.values[0] > 0.5
     return item.command != DELAY or _waited(pilot, _bounded(item.values[0]))
 
 
@@ -148,7 +175,7 @@ def _stay_time(pilot: Pilot, item: MissionItem) -> float:
     if item.command == LOITER_TURNS:
         radius = abs(_bounded(item.values[2])) or 5.0
         return abs(_bounded(item.values[0])) * math.tau * radius / (pilot.vehicle.limits.cruise / 2)
-    return _bounded(item.values[0])
+    return _bounded(item.values[0]) if item.command in TIMED else 0.0
 
 
 def _waited(pilot: Pilot, seconds: float) -> bool:
@@ -166,6 +193,25 @@ def _landed(pilot: Pilot, item: MissionItem) -> bool:
     if landed and pilot.flies:
         pilot.disarm()
     return landed
+
+
+def _placed(pilot: Pilot, item: MissionItem) -> bool:
+    """Down over the place, by at most parameter 1 in metres, and up again to where it came from."""
+    mission, vehicle = pilot.mission, pilot.vehicle
+    here = vehicle.place
+    over = item.place is None or math.dist(here[:2], item.place[:2]) < AT_PLACE
+    goal = vehicle.goal
+    if not (over and isinstance(goal, Reach)):
+        return False
+    if mission.arrived is None:
+        deepest = _bounded(item.values[0])
+        ground = pilot.homing.ground - PUT_DOWN
+        down = min(here[2] + deepest, ground) if deepest > 0.0 else ground
+        mission.arrived, mission.height = pilot.now, here[2]
+        vehicle.goal = Reach((*here[:2], down))
+    elif goal.place[2] != mission.height and abs(here[2] - goal.place[2]) < AT_HEIGHT:
+        vehicle.goal = Reach((*here[:2], mission.height))
+    return goal.place[2] == mission.height and abs(here[2] - mission.height) < AT_HEIGHT
 
 
 def _bounded(value: float) -> float:

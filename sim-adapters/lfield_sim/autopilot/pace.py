@@ -71,6 +71,11 @@ class RoverPace:
     _guided: bool = False
 
     @property
+    def is_commanded(self) -> bool:
+        """Whether DO_CHANGE_SPEED has set it: then the rover shoots over it (ap-rover.c-speed)."""
+        return self._set is not None
+
+    @property
     def speed(self) -> float:
         """What is driven to a place now; a parameter that has changed since goes before what was set."""
         own = self.own()

@@ -30,13 +30,15 @@ class Mission:
     """The items and how far they are flown.
 
     `begun` is the index whose flight has begun, -1 for none; `arrived` is when its place was reached, in
-    seconds; `jumps` counts how often each DO_JUMP was taken; `last_reached` is NO_ITEM before the first.
+    seconds; `height` is the down to which it returns after it has put down a payload; `jumps` counts how
+    often each DO_JUMP was taken; `last_reached` is NO_ITEM before the first.
     """
 
     items: list[MissionItem] = field(default_factory=list)
     current: int = 0
     begun: int = -1
     arrived: float | None = None
+    height: float = 0.0
     jumps: dict[int, int] = field(default_factory=dict)
     last_reached: int = NO_ITEM
     _reached: list[int] = field(default_factory=list)

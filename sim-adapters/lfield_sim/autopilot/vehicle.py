@@ -62,10 +62,10 @@ class Limits:
     before they lift it, `awake` those from arming, `lift` is how it leaves the ground (m/s2), `takeoff`
     how fast it climbs then. `nose_follows` turns the nose along a velocity. `overshoot` is by how much
     (m/s) a rover shoots over a velocity before it settles there; over its speed to a place it does so by
-    `overshoot_share` (s/m) of the square of that; `rolls_out` is the share of its speed that it loses in
-    a second when nothing drives it, 0 for one that stands at once. What is flown is never quite what was
-    asked: `goal_response` and `velocity_response` say how a speed asked for comes out, for places and
-    velocities.
+    `overshoot_share` (s/m) of the square of that while it `shoots_over`; `rolls_out` is the share of its
+    speed that it loses in a second when nothing drives it, 0 for one that stands at once. What is flown
+    is never quite what was asked: `goal_response` and `velocity_response` say how a speed asked for comes
+    out, for places and velocities.
     """
 
     cruise: float = 5.0
@@ -87,6 +87,7 @@ class Limits:
     eases: float = 0.0
     overshoot: float = 0.0
     overshoot_share: float = 0.0
+    shoots_over: bool = False
     rolls_out: float = 0.0
     goal_response: Response = Response()
     velocity_response: Response = Response()

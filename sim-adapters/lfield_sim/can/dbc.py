@@ -11,6 +11,7 @@ import math
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import cantools
@@ -28,6 +29,16 @@ _COMMAND_WORDS = frozenset({"target", "command", "cmd", "set", "setpoint", "desi
 _STATUS_WORDS = frozenset({"actual", "status", "measured", "feedback", "present", "is"})
 _FAULT_WORDS, _HEAT_WORDS = frozenset({"fault", "error"}), frozenset({"temperature", "temp"})
 _TROUBLES = ("overcurrent", "overheat", "follow_error")
+
+#: Bit 31 of an id says that it has 29 bits; many files leave it out.
+_EXTENDED, _STANDARD, _LONGEST = 1 << 31, 0x7FF, 0x1FFFFFFF
+_MESSAGE = re.compile(r"[ \t]*BO_[ \t]+(\d+)")
+_SIGNAL = re.compile(r"[ \t]*SG_[ \t]+([^\s:]+)")
+_VALUES = re.compile(r'^[ \t]*VAL_[ \t]+(\d+)[ \t]+(\S+)(?:"[^"]*"|[^";])*;', re.MULTILINE)
+_ID = re.compile(
+    r'^([ \t]*(?:BO_|VAL_|SIG_VALTYPE_|SG_MUL_VAL_|BO_TX_BU_|(?:CM_|BA_ "\w+") (?:BO_|SG_))[ \t]+)(\d+)',
+    re.MULTILINE,
+)
 
 #: Message and signal.
 Place = tuple[str, str]
@@ -153,12 +164,15 @@ def load(file: str, *, node: str = "", commands: str = "", command: str = "", st
     `status` that the signal `command` drives; else the only node that sends no signal called a command.
     """
     try:
-        database: Any = cantools.database.load_file(file, database_format="dbc")
+        text = _mended(_decoded(Path(file).read_bytes()))
+        # Not strict: signals of many files overlap, or lie beyond their frames.
+        database: Any = cantools.database.load_string(text, database_format="dbc", strict=False)
     except OSError as error:
         raise InputFileError(file, reason(error)) from None
     except Exception as error:  # cantools raises what its parsers raise
-        raise BindingError([f"{file} cannot be read as a DBC file: {error}"]) from None
-    plain = [m for m in database.messages if not m.is_multiplexed() and not m.is_container]
+        words = str(error).split("\n")[0]
+        raise BindingError([f"{file} cannot be read as a DBC file: {words}"]) from None
+    plain = [m for m in database.messages if not m.is_multiplexed() and _can_be_sent(m)]
     links = {_place(plain, status): _place(plain, command)} if command or status else {}
     if commands:
         own = [m for m in plain if m.name not in commands.split("+")]
@@ -169,6 +183,25 @@ def load(file: str, *, node: str = "", commands: str = "", command: str = "", st
         raise UsageError(f"{file} has no message that the device '{node}' sends")
     by_key = {_key(m.frame_id, m.is_extended_frame): m for m in plain}
     return DbcData(by_key, tuple(own), links or _links(plain, own))
+
+
+def _can_be_sent(message: Message) -> bool:
+    """Whether its signals lie in its frame, and apart."""
+    if message.is_container:
+        return False
+    try:
+        data = message.encode(
+            dict.fromkeys((s.name for s in message.signals), 0), scaling=False, strict=False
+        )
+    except Exception:  # whatever the packer of cantools raises
+        return False
+    return len(data) == message.length and all(_end(signal) <= 8 * len(data) for signal in message.signals)
+
+
+def _end(signal: Signal) -> int:
+    """Behind which bit of its message, in the order of its bytes, a signal ends."""
+    start = signal.start ^ 7 if signal.byte_order == "big_endian" else signal.start
+    return start + signal.length
 
 
 def _key(identifier: int, extended: bool) -> int:
@@ -255,3 +288,27 @@ def _within(signal: Signal, value: float) -> float:
 def _initial(signal: Signal) -> float:
     initial: Any = signal.initial
     return _within(signal, float(initial or 0.0))
+
+
+def _decoded(data: bytes) -> str:
+    """The text of a file: UTF-8 with a mark or without, or what Vector's tools write."""
+    try:
+        return data.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        return data.decode("cp1252", errors="replace")
+
+
+def _mended(text: str) -> str:
+    """The text without names for values of absent signals, and with bit 31 in every id that needs it."""
+    places, message = set(), ""
+    for line in text.splitlines():
+        if match := _MESSAGE.match(line):
+            message = match[1]
+        elif match := _SIGNAL.match(line):
+            places.add((message, match[1]))
+    text = _VALUES.sub(lambda match: match[0] if (match[1], match[2]) in places else "", text)
+    return _ID.sub(lambda match: match[1] + _with_bit(int(match[2])), text)
+
+
+def _with_bit(identifier: int) -> str:
+    return str(identifier | _EXTENDED if _STANDARD < identifier <= _LONGEST else identifier)

@@ -59,6 +59,9 @@ class DynamixelSim:
             "--seed", type=whole_between(0, 1 << 32), default=1, metavar="N", help="of random faults (1)"
         )
         parser.add_argument(
+            "--echo", action="store_true", help="the adapter returns every byte that is sent to the servos"
+        )
+        parser.add_argument(
             "--until-stdin-closes", action="store_true", help="end with the one who started it"
         )
         add_log_option(parser)

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import random
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from lfield_sim.dynamixel.instructions import Answer, Outcome, carry_out
-from lfield_sim.dynamixel.packets import MAX_PACKET, Codec, Codec1, Codec2, Packet, fast_status
+from lfield_sim.dynamixel.model import BAUDS
+from lfield_sim.dynamixel.packets import BROADCAST, MAX_PACKET, Codec, Codec1, Codec2, Packet, fast_status
 from lfield_sim.dynamixel.servo import Servo
 from lfield_sim.dynamixel.table import Refusal
 from lfield_sim.faults import Fault, Faults, share
@@ -30,6 +32,7 @@ FAULTS = (
     Fault("sag", 0.0, "volts that its supply lacks", 0.0, 100.0),
     Fault("encoder", False, "its encoder fails"),
     share("noise", "share of replies with random bytes before them"),
+    Fault("echo", False, "the adapter returns every byte that is sent to the servos"),
     Fault("unplug", False, "the adapter is pulled out; false plugs it in again"),
 )
 #: Degrees per second of the fault `hot`.
@@ -96,10 +99,17 @@ class Chain:
             for codec in self._codecs.values():
                 codec.clear()
         self._baud, self._heard = baud, now
-        replies: list[Reply] = []
+        replies = self._echo(data, now)
         for start in range(0, len(data), MAX_PACKET):
             replies += self._listen(data[start : start + MAX_PACKET], now)
         return replies
+
+    def _echo(self, data: bytes, now: float) -> list[Reply]:
+        """What an adapter that does not switch its receiver off hears of what it sends."""
+        if not (data and self.faults.get("echo")):
+            return []
+        baud = self._baud or max((servo.baud for servo in self.servos), default=BAUDS[0])
+        return [Reply(now + len(data) * BITS / baud, data)]
 
     def _listen(self, data: bytes, now: float) -> Iterator[Reply]:
         for protocol in sorted({servo.protocol for servo in self.servos}):
@@ -129,8 +139,31 @@ class Chain:
         self._free += packet.size * BITS / outcome.answers[0].baud
         if outcome.fast:
             return self._say_fast(outcome)
+        if len(outcome.answers) > 1 and packet.id != BROADCAST:
+            return self._collide(outcome.answers, protocol)
         replies = [self._reply(answer, self._status(answer, protocol)) for answer in outcome.answers]
         return [reply for reply in replies if reply.data]
+
+    def _collide(self, answers: Sequence[Answer], protocol: int) -> list[Reply]:
+        """Servos with one id, who answer at once: who waits longer than the others talk is heard by itself.
+
+        The line is low where anybody has it low.
+        """
+        begun, ends = self._free, self._free
+        replies: list[Reply] = []
+        for answer in sorted(answers, key=lambda answer: answer.servo.return_delay):
+            self._free = begun
+            starts = begun + answer.servo.return_delay
+            reply = self._reply(answer, self._status(answer, protocol))
+            if replies and starts < ends and reply.data:
+                both = itertools.zip_longest(replies[-1].data, reply.data, fillvalue=0xFF)
+                data = bytes(one & other for one, other in both)
+                replies[-1] = Reply(max(reply.at, replies[-1].at), data)
+            elif reply.data:
+                replies.append(reply)
+            ends = max(ends, reply.at)
+        self._free = ends
+        return replies
 
     def _say_fast(self, outcome: Outcome) -> list[Reply]:
         blocks = []

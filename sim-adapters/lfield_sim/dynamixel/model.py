@@ -17,8 +17,10 @@ BAUDS = (9_600, 57_600, 115_200, 1_000_000, 2_000_000, 3_000_000, 4_000_000, 4_5
 
 #: Operating modes by the value of their register.
 CURRENT, VELOCITY, POSITION, EXTENDED, CURRENT_POSITION, PWM = 0, 1, 3, 4, 5, 16
-#: Reverse (1), time-based profile (4) and torque on by goal update (8), as Drive Mode has them.
+#: Reverse (1), time-based profile (4) and torque on by goal update (8), as Drive Mode has them; and slave (2)
+#: where a model has a sync cable.
 DRIVE_MODES = (0, 1, 4, 5, 8, 9, 12, 13)
+DUAL_DRIVE_MODES = tuple(range(16))
 
 _MANUAL = "https://emanual.robotis.com/docs/en/dxl/"
 _RPM = math.tau / 60.0
@@ -70,7 +72,7 @@ X_SERIES = (
     _rom(7, 1, "id", 1, 0, 252),
     _rom(8, 1, "baud_rate", 1, 0, 7),
     _rom(9, 1, "return_delay_time", 250, 0, 254),
-    _rom(10, 1, "drive_mode", 0, 0, 13),
+    _rom(10, 1, "drive_mode", 0, 0, 15),
     _rom(11, 1, "operating_mode", 3, 0, 16),
     _rom(12, 1, "secondary_id", 255, 0, 255),
     _rom(13, 1, "protocol_type", 2, 1, 2),
@@ -167,6 +169,7 @@ class _Row:
     lacks: Sequence[str] = ()
     modes: Sequence[int] = (CURRENT, VELOCITY, POSITION, EXTENDED, CURRENT_POSITION, PWM)
     wide: bool = True
+    dual: bool = False
 
 
 #: What the 330 series has in common: initial value, lowest, highest.
@@ -230,6 +233,7 @@ _ROWS = {
         "x/xm540-w270/",
         Strength(10.6, 4.4, 30 * _RPM, 12.0, 0.00269),
         {"current_limit": (2_047, 0, 2_047), "velocity_limit": (128, 0, 1_023)},
+        dual=True,
     ),
 }
 
@@ -244,7 +248,8 @@ def _items(row: _Row) -> dict[str, Item]:
         items[name] = replace(items[name], initial=initial, low=low, high=high)
     for name, initial in {**row.initial, "model_number": row.number}.items():
         items[name] = replace(items[name], initial=initial)
-    items["drive_mode"] = replace(items["drive_mode"], choices=DRIVE_MODES)
+    drive_modes = DUAL_DRIVE_MODES if row.dual else DRIVE_MODES
+    items["drive_mode"] = replace(items["drive_mode"], choices=drive_modes)
     items["operating_mode"] = replace(items["operating_mode"], choices=row.modes)
     return items | _indirect_items(_indirect(row.wide))
 

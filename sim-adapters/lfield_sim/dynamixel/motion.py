@@ -29,8 +29,8 @@ VELOCITY_UNIT = 0.229 * 2.0 * math.pi / 60.0
 ACCELERATION_UNIT = 214.577 * 2.0 * math.pi / 3600.0
 FULL_PWM = 885
 
-#: Bits of Drive Mode.
-REVERSE, TIME_BASED = 0x01, 0x04
+#: Bits of Drive Mode. A slave follows the sync cable of its master and ignores goals (XM540).
+REVERSE, SLAVE, TIME_BASED = 0x01, 0x02, 0x04
 #: Bits of Moving Status, and the counts within which they say so.
 IN_POSITION, ONGOING, FOLLOWING_ERROR = 0x01, 0x02, 0x08
 NEAR, ASTRAY = 5.0, 100.0
@@ -59,6 +59,8 @@ class Motion:
         self.clock = 0.0
         self.trajectory, self.pace = 0.0, 0.0
         self.motor.angle = TURN / 2 / COUNTS
+        # A servo that has just started is within one turn, counted in its direction.
+        self._turns, self._turns_way = 0, 1
 
     @property
     def _way(self) -> int:
@@ -72,8 +74,10 @@ class Motion:
 
     @property
     def place(self) -> float:
-        """Where the shaft is, in counts."""
-        return self._way * self.motor.angle * COUNTS + self._offset
+        """Where the shaft is, in counts. The sign of the offset is not that of the direction."""
+        if self._turns_way != self._way:
+            self.single_turn()
+        return self._way * self.motor.angle * COUNTS + self._turns * TURN + self._offset
 
     @property
     def speed(self) -> float:
@@ -92,11 +96,18 @@ class Motion:
     @property
     def under_way(self) -> bool:
         """On the way to a goal."""
-        return bool(self.table["torque_enable"]) and self._positioned and self.clock < self.profile.duration
+        return self._is_driven and self._positioned and self.clock < self.profile.duration
+
+    @property
+    def _is_driven(self) -> bool:
+        """Whether its motor follows its own goals."""
+        return bool(self.table["torque_enable"]) and not self.table["drive_mode"] & SLAVE
 
     def single_turn(self) -> None:
         """Forget the turns: the place, without its offset, is within one."""
         self.motor.angle %= 2.0 * math.pi
+        self._turns_way = self._way
+        self._turns = 1 if self._way < 0 and self.motor.angle > 0.0 else 0
         self.resting = False
 
     def reset_goals(self) -> None:
@@ -144,7 +155,7 @@ class Motion:
 
     def step(self, dt: float) -> None:
         """Let `dt` seconds pass."""
-        if self.resting or not self.table["torque_enable"]:
+        if self.resting or not self._is_driven:
             self.motor.rest(dt)
             self.trajectory, self.pace = self.place, 0.0
             self.resting = self.motor.speed == 0.0

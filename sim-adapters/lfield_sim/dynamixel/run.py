@@ -51,7 +51,7 @@ async def serve(args: argparse.Namespace, default: str) -> None:
     moving = asyncio.get_running_loop().create_task(server.run())
     try:
         try:
-            chain.faults.apply(args.fault)
+            chain.faults.apply([*(["echo=true"] if args.echo else []), *args.fault])
         except ValueError as error:
             raise UsageError(f"--fault: {error}") from None
         await serve_until_told(

@@ -292,3 +292,100 @@ def test_whatever_is_sent_comes_out_again_or_is_refused(speed, valve, gain):
     assert back["speed"] == pytest.approx(speed, abs=0.051)
     assert back["valve"] == pytest.approx(valve, abs=0.51)
     assert back["gain"] == pytest.approx(gain, rel=1e-6, abs=1e-44)
+
+
+def test_a_short_frame_is_used_as_far_as_it_goes_and_the_rest_grows_old(rig):
+    b = rig()
+
+    async def mission(pump):
+        await asyncio.sleep(0.2)
+        b.pump.silent = True
+        for _ in range(20):
+            b.bus.say(512, bytes([10, 0]))
+            await asyncio.sleep(0.1)
+        assert await pump.execute("read", ["Status.speed"]) == 1.0
+        assert await pump.execute("ageOf", ["Status"]) < 0.3
+        asyncio.get_running_loop().call_later(0.5, b.bus.say, 512, bytes([10, 0]))
+        with pytest.raises(DeviceError, match="frame 0x200 has 2 bytes, the file says 8: signal heat absent"):
+            await pump.execute("read", ["Status.heat"])
+        assert b.values["malformed"] >= 20
+        b.bus.say(512, bytes([10, 0, 100]))
+        assert await pump.execute("read", ["Status.heat"]) == 60.0
+
+    b.run(mission)
+    told = "Status: frame 0x200 has 2 bytes, the file says 8: signal heat absent"
+    assert [note for note in b.notes if "0x200" in note] == [
+        told,
+        "Status: frame 0x200 has 3 bytes, the file says 8",
+    ]
+
+
+def test_a_device_whose_frames_are_all_short_is_heard(rig):
+    b = rig()
+    b.pump.silent = True
+
+    async def mission(pump):
+        asyncio.get_running_loop().call_later(0.5, b.bus.say, 512, bytes([0, 0]))
+        assert await pump.open() == "DBC device, heard Status"
+
+    b.run(mission, opened=False)
+
+
+def test_who_is_not_heard_while_others_are_is_told_their_ids(rig):
+    b = rig(connect=2.0)
+    b.pump.silent = True
+
+    async def mission(pump):
+        b.bus.say(512, bytes(8), extended=True)
+        b.bus.say(0x123, bytes(8))
+        with pytest.raises(DeviceError, match=r"other ids were: 0x200 \(29 bits\), 0x123;"):
+            await pump.open()
+
+    b.run(mission, opened=False)
+
+
+def test_what_of_the_file_is_not_used_is_told_at_opening(rig, tmp_path):
+    path = tmp_path / "pump.dbc"
+    far = ' SG_ far : 60|8@1+ (1,0) [0|0] "" Host\n'
+    path.write_text(DBC.read_text().replace("BO_ 2566848768", f"{far}\nBO_ 2566848768"))
+    b = rig(dbc=str(path))
+
+    async def mission(pump):
+        assert await pump.execute("read", ["Status.heat"]) == 60.0
+        with pytest.raises(
+            DeviceError, match=r"Status\.far cannot be used: signal far lies beyond its frame"
+        ):
+            await pump.execute("read", ["Status.far"])
+
+    b.run(mission)
+    (told,) = [note for note in b.notes if "warning" in note]
+    assert re.match(rf"{path}:\d+:6: warning\[DBC901\]: signal far lies beyond its frame", told)
+
+
+J1939 = """VERSION ""
+BU_: X
+BO_ 2566844670 Engine: 8 X
+ SG_ turns : 24|16@1+ (0.125,0) [0|8031.875] "rpm" X
+BA_DEF_ BO_ "VFrameFormat" ENUM "StandardCAN","ExtendedCAN","reserved","J1939PG";
+BA_ "VFrameFormat" BO_ 2566844670 3;
+"""
+
+
+def test_a_parameter_group_of_j1939_is_heard_from_any_address_but_one_at_a_time(rig, tmp_path):
+    path = tmp_path / "engine.dbc"
+    path.write_text(J1939)
+    waivers = ("device_watchdog", "no_confirmation")
+    b = rig(dbc=str(path), commands=[], safe=[], confirm=[], waivers=waivers)
+    b.pump.silent = True
+
+    async def mission(engine):
+        b.bus.say(0x0CFEF000, bytes([0, 0, 0, 80, 0, 0, 0, 0]), extended=True)
+        b.bus.say(0x18FEF001, bytes([0, 0, 0, 90, 0, 0, 0, 0]), extended=True)
+        b.bus.say(0x18FEF100, bytes([0, 0, 0, 99, 0, 0, 0, 0]), extended=True)
+        assert await engine.execute("read", ["Engine.turns"]) == 10.0
+        await asyncio.sleep(2.0)
+        b.bus.say(0x18FEF001, bytes([0, 0, 0, 90, 0, 0, 0, 0]), extended=True)
+        assert await engine.execute("read", ["Engine.turns"]) == 11.25
+
+    b.run(mission)
+    assert sum("comes from two addresses, 0x00 and 0x01" in note for note in b.notes) == 1

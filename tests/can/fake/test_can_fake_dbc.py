@@ -11,6 +11,7 @@ from can_fake_bench import Bench
 
 import lfield_sim.can
 from lfield.errors import InputFileError, UsageError
+from lfield_sim.can.dbc import load
 
 GRIPPER = Path(lfield_sim.can.__file__).with_name("gripper.dbc")
 
@@ -124,3 +125,27 @@ def test_a_file_that_is_not_there_is_a_sentence():
 def test_two_devices_are_not_one():
     with pytest.raises(UsageError, match="same node id"):
         Bench("cia402:5", "odrive:5")
+
+
+FIELD = """VERSION ""
+BU_: Host Pump
+BO_ 256 Command: 8 Host
+ SG_ Target : 0|16@1- (0.1,0) [-100|100] "rad/s" Pump
+BO_ 2561 Status: 8 Pump
+ SG_ Actual : 0|16@1- (0.1,0) [-100|100] "rad/s" Host
+BO_ 2562 Broken: 2 Pump
+ SG_ far : 60|8@1+ (1,0) [0|0] "" Host
+VAL_ 256 nothing 0 "off; really" 1 "on" ;
+VAL_ 2561 Actual 0 "stands" ;
+"""
+
+
+@pytest.mark.parametrize("encoding", ["utf-8-sig", "cp1252"])
+def test_a_file_as_it_exists_in_the_field_is_played(tmp_path, encoding):
+    """Names for an absent signal, ids without bit 31, a signal beyond its frame."""
+    path = tmp_path / "field.dbc"
+    path.write_bytes(FIELD.replace("Host Pump", 'Host Pump\nCM_ "°";').encode(encoding))
+    data = load(str(path), commands="Command")
+    assert [message.name for message in data.own] == ["Status"]
+    assert data.own[0].is_extended_frame
+    assert data.links == {("Status", "Actual"): ("Command", "Target")}

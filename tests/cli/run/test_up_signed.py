@@ -47,7 +47,7 @@ def test_what_is_signed_runs_and_ps_says_by_whom(lfield, here, made) -> None:
     hosts = [lfield.start(*words, "--host", name) for name in ("alpha", "bravo")]
     hosts[1].wait_for("^here$")
     shown = here("ps", "mission.lfm", *maps)
-    digest = re.search(r"bundle (\w{12})", signed.err[0])
+    digest = re.search(r"bundle (\w{16})", signed.err[0])
     assert digest is not None
     assert shown.status == 0, shown
     pattern = rf"bundle {digest[1]}, signed by operator \d{{4}}-\d\d-\d\d \d\d:\d\d UTC: alpha, bravo"
@@ -123,7 +123,7 @@ def test_two_signed_bundles_that_differ_in_bindings_alone_do_not_link_and_both_a
     for words in (("build", "mission.dL", "-o", "other.lfm"), ("sign", "other.lfm")):
         assert here(*words).status == 0
     bravo = lfield.start("up", "other.lfm", *maps, "--host", "bravo")
-    bravo.wait_for(r"runs bundle \w{12} and \w+ runs bundle \w{12}: copy one of the two to both")
+    bravo.wait_for(r"runs bundle \w{16} and \w+ runs bundle \w{16}: copy one of the two to both")
     stopped = here("estop", "--no-wait", "mission.lfm", *maps)
     assert {line.partition(":")[0] for line in stopped.out} >= {"alpha", "bravo"}, stopped
     assert bravo.out == []
@@ -158,4 +158,4 @@ def test_all_hosts_of_one_command_need_no_signature(lfield, here, made) -> None:
     team = lfield.start("up", "mission.lfm", "--all")
     team.wait_for(r"\| here$")
     shown = " ".join(line.strip() for line in here("ps", "mission.lfm").out[-2:])
-    assert re.search("bundle .{12}, signed by whoever started it .*: alpha, bravo$", shown)
+    assert re.search("bundle .{16}, signed by whoever started it .*: alpha, bravo$", shown)

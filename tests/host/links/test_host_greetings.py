@@ -44,7 +44,7 @@ async def _stays_refused(team, alpha, bravo, words):
 def test_hosts_of_two_programs(fleet):
     async def story(team):
         (bravo,) = await team.up(team.mission(PROGRAM.replace("here", "there"), DEPLOYMENT), "bravo")
-        (alpha,) = await team.up(team.mission(PROGRAM, DEPLOYMENT), "alpha")
+        (alpha,) = await team.up(team.mission(PROGRAM, DEPLOYMENT, without=("bravo",)), "alpha")
         await _stays_refused(team, alpha, bravo, "start both from the same program file")
         assert "cannot talk to bravo" in alpha.log
 
@@ -54,7 +54,7 @@ def test_hosts_of_two_programs(fleet):
 def test_hosts_of_two_deployments(fleet):
     async def story(team):
         (bravo,) = await team.up(team.mission(PROGRAM, DEPLOYMENT + "//Echo:more@alpha\n"), "bravo")
-        (alpha,) = await team.up(team.mission(PROGRAM, DEPLOYMENT), "alpha")
+        (alpha,) = await team.up(team.mission(PROGRAM, DEPLOYMENT, without=("bravo",)), "alpha")
         await _stays_refused(team, alpha, bravo, "start both from the same .dL file")
 
     fleet(story)
@@ -62,7 +62,7 @@ def test_hosts_of_two_deployments(fleet):
 
 def test_hosts_of_two_bundles_that_differ_in_their_bindings_alone(fleet):
     async def story(team):
-        mission = team.mission(PROGRAM, DEPLOYMENT)
+        mission = team.mission(PROGRAM, DEPLOYMENT, without=("bravo",))
         one, other = (replace(mission, release=Release(digest * 32, by="anna")) for digest in (b"1", b"2"))
         (bravo,) = await team.up(other, "bravo")
         (alpha,) = await team.up(one, "alpha")
@@ -85,7 +85,7 @@ def test_a_host_of_files_and_one_of_a_bundle_talk(fleet):
 
 def test_a_wrong_address_leads_to_another_host(fleet):
     async def story(team):
-        mission = team.mission(PROGRAM, DEPLOYMENT + "//Echo:third@carol\n")
+        mission = team.mission(PROGRAM, DEPLOYMENT + "//Echo:third@carol\n", without=("bravo", "carol"))
         (carol,) = await team.up(mission, "carol", address="bravo:8181")
         (alpha,) = await team.up(mission, "alpha", unreachable_after=3.0)
         await team.until(lambda: _told(alpha, "carol answered at the address of bravo"))

@@ -7,7 +7,7 @@ import asyncio
 import pytest
 
 from lfield.errors import DeviceError
-from lfield_mavlink.services.plan_items import PlanKind, waypoints
+from lfield_mavlink.services.plan_items import Item, PlanKind, waypoints
 from lfield_sim.mavlink.link.signing import Signing as Gate
 
 BOTH = pytest.mark.parametrize("flavour", ["ardupilot", "px4"])
@@ -355,5 +355,108 @@ def test_a_vehicle_without_the_key_is_heard_where_that_is_waived(bench, tmp_path
     async def mission(fc):
         await asyncio.sleep(1.0)
         assert b.values["armed"] is False
+
+    b.run(mission)
+
+
+def plan_item(bench, number, north=0.0, east=0.0, height=8.0, frame=6, parameters=(0.0, 0.0, 0.0, 0.0)):
+    """An item at metres of home, and at a height above it."""
+    return Item(number, frame, *bench.fakes[1].place.at(north, east), height, parameters)
+
+
+#: What both real autopilots flew: a camera's mode and a speed before the takeoff (22).
+PRELUDE = [
+    Item(530, 2, 0, 0, 0.0, (0.0, 1.0, 0.0, 0.0)),
+    Item(178, 2, 0, 0, 0.0, (1.0, 3.0, -1.0, 0.0)),
+    Item(178, 2, 0, 0, 0.0, (2.0, 20.0, -1.0, 0.0)),
+    Item(178, 2, 0, 0, 0.0, (3.0, 20.0, -1.0, 0.0)),
+]
+
+
+@BOTH
+def test_a_plan_whose_first_item_is_no_takeoff_is_flown_from_the_ground(bench, flavour):
+    b = bench(flavour=flavour, limits={"altitude": 20.0, "radius": 50.0, "speed": 5.0})
+
+    async def mission(fc):
+        plan = [*PRELUDE, plan_item(b, 22), plan_item(b, 16, 15.0)]
+        await fc.plans.upload(PlanKind.MISSION, plan)
+        await fc.execute("arm", [])
+        await fc.execute("startMission", [])
+        await until(lambda: b.values["missionReached"] == len(plan) - 1)
+        assert b.values["position"] == pytest.approx([15.0, 0.0, -8.0], abs=1.5)
+
+    b.run(mission)
+
+
+@BOTH
+def test_a_plan_that_begins_with_a_waypoint_needs_a_takeoff_first(bench, flavour):
+    b = bench(flavour=flavour)
+
+    async def mission(fc):
+        await fc.plans.upload(PlanKind.MISSION, [*PRELUDE, plan_item(b, 16, 15.0), plan_item(b, 22)])
+        await fc.execute("arm", [])
+        with pytest.raises(DeviceError, match="stands on the ground"):
+            await fc.execute("startMission", [])
+
+    b.run(mission)
+
+
+#: Items that a real copter takes, by autopilot.
+TAKEN = [("ardupilot", n) for n in (30, 31, 36, 82, 84, 85, 94)] + [("px4", n) for n in (31, 84, 85)]
+
+
+@pytest.mark.parametrize(("flavour", "number"), TAKEN)
+def test_items_beyond_the_limits_are_taken_by_the_vehicle_and_not_started(bench, flavour, number):
+    b = bench(flavour=flavour, limits={"altitude": 20.0, "radius": 50.0})
+
+    async def mission(fc):
+        await fly_up(fc)
+        for bad in (plan_item(b, number, 1000.0), plan_item(b, number, 5.0, height=200.0)):
+            await fc.plans.upload(PlanKind.MISSION, [plan_item(b, 16, 5.0), bad])
+            with pytest.raises(DeviceError, match=r"startMission: .*(1|the arc of item 1)[, ].*refused"):
+                await fc.execute("startMission", [])
+
+    b.run(mission)
+
+
+@pytest.mark.parametrize(("flavour", "number"), [each for each in TAKEN if each[1] != 30])
+def test_items_inside_the_limits_are_flown(bench, flavour, number):
+    b = bench(flavour=flavour, limits={"altitude": 20.0, "radius": 50.0})
+
+    async def mission(fc):
+        values = (5.0 if number == 94 else 0.0, 0.0, 0.0, 0.0)
+        plan = [plan_item(b, number, 10.0, parameters=values)]
+        if number in (84, 85):
+            plan = [plan_item(b, 84), plan_item(b, 16, 10.0), plan_item(b, 85, 10.0)]
+            await fc.plans.upload(PlanKind.MISSION, plan)
+            await fc.execute("arm", [])
+        else:
+            await fc.plans.upload(PlanKind.MISSION, plan)
+            await fly_up(fc)
+        await fc.execute("startMission", [])
+        await until(lambda: b.values["missionReached"] == len(plan) - 1, 90.0)
+        assert b.values["position"][0] == pytest.approx(10.0, abs=1.5)
+        if number in (84, 85):
+            await until(lambda: not b.values["armed"])
+        elif number != 94:
+            assert b.values["position"][2] == pytest.approx(-8.0, abs=1.5)
+
+    b.run(mission)
+
+
+@BOTH
+def test_rally_points_beyond_the_limits_are_refused(bench, flavour):
+    b = bench(flavour=flavour, limits={"radius": 50.0})
+
+    async def mission(fc):
+        await fly_up(fc)
+        with pytest.raises(DeviceError, match=r"setRallyPoints: rally point 1 refused: .* limit of 50 m"):
+            await fc.execute("setRallyPoints", [route(b, (10.0, 0.0, 5.0), (90.0, 0.0, 5.0))])
+        await fc.plans.upload(PlanKind.RALLY, [plan_item(b, 5100, 90.0)])
+        await fc.plans.upload(PlanKind.MISSION, [plan_item(b, 16, 5.0), Item(20, 2, 0, 0)])
+        with pytest.raises(DeviceError, match=r"startMission: rally point 0 refused"):
+            await fc.execute("startMission", [])
+        await fc.execute("setRallyPoints", [route(b, (10.0, 0.0, 5.0))])
+        await fc.execute("startMission", [])
 
     b.run(mission)

@@ -9,7 +9,7 @@ from urllib.parse import quote
 import pytest
 
 from lfield.operator.web.door import FOREIGN_ADDRESS, FOREIGN_PAGE, MOST_SESSIONS, NO_SESSION, Door, Knock
-from lfield.operator.web.gate import Gate
+from lfield.operator.web.gate import Gate, cookie_values
 
 HERE = "127.0.0.1:8000"
 OURS = f"http://{HERE}"
@@ -26,7 +26,7 @@ def test_a_link_opens_one_browser(door):
     session = door.enter(first)
     assert session is not None
     assert door.enter(first) is None
-    assert door.refusal(Knock(HERE, session=session)) == ""
+    assert door.refusal(Knock(HERE, sessions=(session,))) == ""
     assert door.token != first
     assert door.enter(door.token) not in (None, session)
 
@@ -39,26 +39,26 @@ def test_other_words_open_nothing(door, token):
 
 def test_without_a_session_nothing_is_answered(door):
     assert door.refusal(Knock(HERE)) == NO_SESSION
-    assert door.refusal(Knock(HERE, session="guessed")) == NO_SESSION
+    assert door.refusal(Knock(HERE, sessions=("guessed",))) == NO_SESSION
 
 
 def test_a_name_that_was_made_to_point_here_is_refused(door):
     session = door.enter(door.token)
-    assert door.refusal(Knock("evil.example:8000", session=session)) == FOREIGN_ADDRESS
-    assert door.refusal(Knock("127.0.0.1:9000", session=session)) == FOREIGN_ADDRESS
+    assert door.refusal(Knock("evil.example:8000", sessions=(session,))) == FOREIGN_ADDRESS
+    assert door.refusal(Knock("127.0.0.1:9000", sessions=(session,))) == FOREIGN_ADDRESS
 
 
 @pytest.mark.parametrize("origin", ["", "null", "http://evil.example", "http://127.0.0.1:9000"])
 def test_only_our_page_acts(door, origin):
     session = door.enter(door.token)
-    assert door.refusal(Knock(HERE, origin, session, acts=True)) == FOREIGN_PAGE
-    assert door.refusal(Knock(HERE, OURS, session, acts=True)) == ""
+    assert door.refusal(Knock(HERE, origin, (session,), acts=True)) == FOREIGN_PAGE
+    assert door.refusal(Knock(HERE, OURS, (session,), acts=True)) == ""
 
 
 def test_of_too_many_browsers_the_first_goes(door):
     sessions = [door.enter(door.token) for _ in range(MOST_SESSIONS + 1)]
-    assert door.refusal(Knock(HERE, session=sessions[0])) == NO_SESSION
-    assert all(not door.refusal(Knock(HERE, session=session)) for session in sessions[1:])
+    assert door.refusal(Knock(HERE, sessions=(sessions[0],))) == NO_SESSION
+    assert all(not door.refusal(Knock(HERE, sessions=(session,))) for session in sessions[1:])
 
 
 # --- the gate in front of an application -----------------------------------------------------------------
@@ -136,6 +136,41 @@ def test_the_link_is_changed_for_a_cookie(gate, door, inside, known):
     assert start["status"] == 200
     assert inside.asked == ["/look"]
     assert known == [("127.0.0.1", 4711)]
+
+
+@pytest.mark.parametrize(
+    "foreign",
+    [
+        "a[]=b",
+        'x={"a":1}',
+        "theme=dark mode",
+        "without_equals",
+        "=no name",
+        'open="quote',
+        "a,b=c",
+        "ümlaut=ä",
+        "lfield-8000=of another program",
+        "lfield-80=1",
+        "xlfield-8000=1",
+        "Path=/",
+        "$Version=1",
+        "a=b=c;;;",
+    ],
+)
+@pytest.mark.parametrize("order", ["{foreign}; {own}", "{own}; {foreign}", "{foreign};{own};{foreign}"])
+def test_cookies_of_other_programs_do_not_hide_the_session(gate, door, inside, foreign, order):
+    """A browser sends the cookies of every program on 127.0.0.1, whatever its port."""
+    cookies = order.format(foreign=foreign, own=entered(gate, door))
+    start, _ = knock(gate, "/act", "POST", cookie=cookies, origin=OURS)
+    assert start["status"] == 200
+    knock(gate, "/_nicegui_ws/", kind="websocket", cookie=cookies, origin=OURS)
+    assert inside.asked == ["/act", "/_nicegui_ws/"]
+
+
+def test_cookies_may_come_in_several_headers(door, gate):
+    own = entered(gate, door).partition("=")[2]
+    headers = [(b"cookie", b"a[]=b"), (b"cookie", f"lfield-8000={own}".encode()), (b"cookie", b"c")]
+    assert cookie_values(headers, "lfield-8000") == (own,)
 
 
 def test_all_that_is_answered_forbids_the_browser_to_ask_others(gate, door):

@@ -100,13 +100,29 @@ def test_the_link_opens_the_page_for_whoever_has_the_root(page, client: Client) 
 @pytest.mark.process
 def test_who_may_not_press_a_button_cannot_press_it_without_the_page_either(page, client: Client) -> None:
     page.do("bar stop your keys let you observe, not stop")
-    cookie = client.asks(client.path)[2].partition(";")[0]
+    own = client.asks(client.path)[2].partition(";")[0]
+    # Beside it stand cookies of other programs on that address, as no grammar of cookies allows them.
+    cookie = f'a[]=b; x={{"a":1}}; theme=dark mode; alone; {own}; ümlaut="'
     page.line()
     origin = f"https://{ADDRESS}:{client.port}"
     said = client.asks("/act", "POST", '{"action":"stop"}', Cookie=cookie, Origin=origin)
     assert said[:2] == (403, "your keys let you observe, not stop")
     assert client.asks("/act", "POST", '{"action":"pause"}', Cookie=cookie, Origin=origin)[0] == 200
     assert page.line() == "pressed pause"
+
+
+@pytest.mark.process
+def test_a_websocket_is_opened_beside_many_cookies_of_other_programs(page, client: Client) -> None:
+    own = client.asks(client.path)[2].partition(";")[0]
+    handshake = {
+        "Connection": "Upgrade",
+        "Upgrade": "websocket",
+        "Sec-WebSocket-Version": "13",
+        "Sec-WebSocket-Key": "AAAAAAAAAAAAAAAAAAAAAA==",
+        "Origin": f"https://{ADDRESS}:{client.port}",
+        "Cookie": "; ".join([*(f"program{n}={'x' * 4000}" for n in range(10)), own]),
+    }
+    assert client.asks("/_nicegui_ws/socket.io/?EIO=4&transport=websocket", **handshake)[0] == 101
 
 
 @pytest.mark.process

@@ -227,7 +227,7 @@ BUGS = [
         resume_after_the_point_of_no_return,
         "appendix I as printed: what was sent may have arrived",
         frozenset({"I1", "I4"}),
-        1,
+        3,
     ),
     Bug(
         no_memory_of_ids,
@@ -263,7 +263,7 @@ BUGS = [
         a_call_overtakes_its_page,
         "a call begins, and what is kept of its caller stands before an earlier one",
         frozenset({"I4", "I5"}),
-        216,
+        566,
     ),
     Bug(
         a_kept_copy_runs_although_it_had_left,

@@ -13,9 +13,11 @@ from lfield.host.team.leases import Leases
 from lfield.journal.pages import Fence
 from lfield.mobility.effects import Effect, Persist
 from lfield.quorum.core import Quorum
+from lfield.quorum.lease import Lease
 from lfield.quorum.members import Members
 from lfield.quorum.recovery import Recoveries
 from lfield.simulate.seeds import Draws
+from lfield.simulate.stories.drawing import split
 from lfield.simulate.stories.story import doubted, parted
 from lfield.vm.agent import Agent
 from lfield.wire.quorum import Ack, Heartbeat
@@ -89,6 +91,17 @@ def the_promises_of_a_minority(patch: Patch) -> None:
     patch.setattr(Recoveries, "__init__", with_few)
 
 
+def the_first_acknowledgement_is_enough(patch: Patch) -> None:
+    """Of two groups of a team each goes on with the lease, as long as one other of its group answers."""
+
+    def count(self: Lease) -> None:
+        times = sorted(self._acknowledged.values(), reverse=True)
+        if not self._alone and len(times) >= self._members.majority - self._members.counts_itself:
+            self.until = times[0] + self._members.lease
+
+    patch.setattr(Lease, "_count", count)
+
+
 def running_without_a_lease(patch: Patch) -> None:
     def may_act(self: Quorum, agent: str, generation: int, now: float) -> bool:
         return not self.barred(agent, generation)
@@ -118,6 +131,12 @@ QUORUM_BUGS = [
     ),
     _bug(a_wait_that_is_shorter_than_the_lease, "what is left of a lease after the wait is too much", 12),
     _bug(the_promises_of_a_minority, "who is cut off promises itself whatever it likes", 31),
+    _bug(
+        the_first_acknowledgement_is_enough,
+        "of more than three members a minority that hears itself keeps its lease",
+        33,
+        split,
+    ),
     _bug(running_without_a_lease, "who is cut off works on while others go on", 95),
     _bug(
         fences_told_once_and_lost_with_their_link,

@@ -91,6 +91,6 @@ TOGETHER_BUGS = [
         a_begun_call_knows_no_time_limit,
         "a call on a host that cannot be reached works on when its block was left long ago",
         "outlives",
-        13,
+        73,
     ),
 ]

@@ -6,14 +6,18 @@ import os
 
 import pytest
 from planted_bugs import BUGS, Bug
+from planted_order_bugs import ORDER_BUGS
 from planted_quorum_bugs import QUORUM_BUGS
 from planted_reserve_bugs import RESERVE_BUGS
+from planted_terminated_bugs import TERMINATED_BUGS
 from planted_together_bugs import TOGETHER_BUGS
 
 from lfield.simulate.seeds import first_broken, told
 
 by_name = pytest.mark.parametrize(
-    "bug", [*BUGS, *QUORUM_BUGS, *TOGETHER_BUGS, *RESERVE_BUGS], ids=lambda bug: bug.name
+    "bug",
+    [*BUGS, *QUORUM_BUGS, *TOGETHER_BUGS, *RESERVE_BUGS, *ORDER_BUGS, *TERMINATED_BUGS],
+    ids=lambda bug: bug.name,
 )
 
 

@@ -54,6 +54,8 @@ coordinator Boss {
 }
 """
 OVER = "the time is over; crane.{}() was cancelled"
+#: The same when the call took longer than its limit to end.
+LATE = OVER + ", {:.1f} s late since it took so long to end"
 
 
 @cache
@@ -125,7 +127,7 @@ def test_a_device_that_cannot_comes_to_its_end_and_then_the_portal_hears() -> No
     yard.pass_time(30.0)
     assert yard.serving == 1
     yard.answer()
-    assert yard.pass_time(0.0) == [OVER.format("twice")]
+    assert yard.pass_time(0.0) == [LATE.format("twice", 30.0)]
     assert yard.place.waiting == []
 
 
@@ -139,10 +141,10 @@ def test_a_result_that_crosses_its_cancel_is_too_late_for_the_limit() -> None:
 def test_an_answer_for_a_thread_that_is_no_more_is_dropped() -> None:
     yard = Yard("c.lift();")
     yard.pass_time(2.0)
-    assert yard.pass_time(5.0) == [OVER.format("lift")]
+    assert yard.pass_time(5.0) == [LATE.format("lift", 5.0)]
     assert yard.serving == 0
     yard.refuse("late")
-    assert yard.pass_time(1.0) == [OVER.format("lift")]
+    assert yard.pass_time(1.0) == [LATE.format("lift", 5.0)]
     assert not yard.crane.ended
 
 
@@ -152,7 +154,7 @@ def test_a_portal_that_never_waits_is_ended(tidy: float) -> None:
     yard.pass_time(2.0)
     if tidy:
         assert yard.pass_time(tidy - 0.1) == []
-    assert yard.pass_time(0.1) == [OVER.format("deaf")]
+    assert yard.pass_time(0.1) == [LATE.format("deaf", tidy) if tidy else OVER.format("deaf")]
     assert yard.serving == 0
 
 
@@ -168,7 +170,7 @@ def test_a_thread_that_is_ended_gives_its_monitor_back() -> None:
     yard = Yard("c.holds();", "c.next();")
     yard.pass_time(2.0)
     yard.pass_time(5.0)
-    assert yard.place.output == [OVER.format("holds"), "in"]
+    assert yard.place.output == [LATE.format("holds", 5.0), "in"]
     assert yard.crane.block.w[layout.W_OWNER] == 0
 
 
@@ -177,12 +179,13 @@ def test_a_call_in_the_queue_never_begins() -> None:
     yard.pass_time(2.0)
     assert yard.serving == 1
     yard.pass_time(5.0)
-    assert yard.place.output == [f"{OVER.format('holds')}; crane.next() was cancelled"]
+    late = "the block ends 5.0 s late since it waited for its calls"
+    assert yard.place.output == [f"{OVER.format('holds')}; crane.next() was cancelled; {late}"]
 
 
 @pytest.mark.parametrize(
     ("seconds", "said"),
-    [(30.0, [OVER.format("sleeps")]), (1.0, ["slept", OVER.format("sleeps")])],
+    [(30.0, [LATE.format("sleeps", 58.0)]), (1.0, ["slept", LATE.format("sleeps", 58.0)])],
     ids=["after", "before"],
 )
 def test_a_host_that_stood_still_takes_times_in_their_order(seconds: float, said: list[str]) -> None:

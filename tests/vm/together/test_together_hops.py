@@ -316,6 +316,7 @@ def test_a_time_limit_is_held_where_the_calls_run() -> None:
     body = "try { within (1.0) { " + ALL + " } } catch (TimeLimitException e) { print(e.message()); }"
     joined = run(body + " print(now() - begun);", 3)
     said = "the time is over; r0.work() was cancelled; r1.work() was cancelled; r2.work() was cancelled"
+    said += "; the block ends 0.5 s late since it waited for its calls"
     # Each host has cancelled its own by itself, at the same time.
     assert joined.printed == ["r0 cancelled", "r1 cancelled", "r2 cancelled", said, "1.5"]
 
@@ -334,7 +335,10 @@ def test_a_time_limit_counts_the_flight_and_the_sleep_of_hosts() -> None:
     joined.run(until=0.6)
     assert joined.places[1].output == ["r1 cancelled"]
     joined.run()
-    assert joined.printed[-1] == "the time is over; r1.work() was cancelled"
+    assert (
+        joined.printed[-1]
+        == "the time is over; r1.work() was cancelled, 0.5 s late since it took so long to end"
+    )
 
 
 def test_a_time_limit_gives_up_a_departure_that_has_not_begun() -> None:
@@ -361,7 +365,7 @@ def test_a_time_limit_that_cannot_give_up_is_told_when_the_coordinator_hears() -
     assert joined.printed == []
     joined.machines[0].resume(agent, "UnreachableResourceException", "host 1 is silent", "r1")
     joined.still()
-    assert joined.printed == ["the time is over: host 1 is silent"]
+    assert joined.printed == ["the time is over, 1.0 s late: host 1 is silent"]
 
 
 def test_hostile_tickets_are_refused() -> None:

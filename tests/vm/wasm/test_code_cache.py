@@ -131,12 +131,13 @@ def test_without_a_folder_everything_is_compiled(
 def test_without_a_home_everything_is_compiled(
     cached: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, home: str
 ) -> None:
-    monkeypatch.chdir(tmp_path)
+    (working := tmp_path / "working").mkdir()
+    monkeypatch.chdir(working)
     monkeypatch.delenv("XDG_CACHE_HOME")
     monkeypatch.setenv("HOME", home)
     assert code_folder() is None
     assert made([])
-    assert list(tmp_path.iterdir()) == []
+    assert list(working.iterdir()) == []
 
 
 def test_where_this_user_may_not_look_nothing_is_kept(tmp_path: Path) -> None:

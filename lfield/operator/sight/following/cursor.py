@@ -13,8 +13,9 @@ _NO_LIFE = 1
 #: What states are called that a host has no more.
 STATE = "state"
 
-#: Seconds before a host is called again: after a link that held, and at most.
-SOONEST, LATEST = 0.25, 5.0
+#: Seconds before a host is called again: after a link that held, at most, and at most when it was silent.
+#: With the time after which a silent link is given up, it is followed again within 10 s after the path works.
+SOONEST, LATEST, LATEST_UNHEARD = 0.25, 5.0, 2.0
 
 
 class Cursor:
@@ -58,7 +59,7 @@ class Cursor:
         """Nobody is there: a host that is there later began after this watcher."""
         self._missed = True
 
-    def failed(self) -> float:
-        """A link has not come about, or has gone: seconds until the next try."""
+    def failed(self, *, unheard: bool = False) -> float:
+        """A link has not come about, or has gone, or its host is `unheard`: seconds until the next try."""
         self._failures += 1
-        return float(min(LATEST, SOONEST * 2 ** (min(self._failures, 10) - 1)))
+        return float(min(LATEST_UNHEARD if unheard else LATEST, SOONEST * 2 ** (min(self._failures, 10) - 1)))

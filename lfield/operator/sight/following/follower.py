@@ -11,12 +11,12 @@ from collections.abc import Awaitable, Callable, Sequence
 from typing import Protocol
 
 from lfield.clock import Clock
-from lfield.errors import AddressError, GreetingError, KeysError, LfieldError, NobodyListens, WireError
+from lfield.errors import AddressError, GreetingError, KeysError, LfieldError, NobodyListens
 from lfield.net.greeting import Greeting
 from lfield.net.transport import Link, Transport
 from lfield.operator.ask import Brought
+from lfield.operator.observing import ObserverLink
 from lfield.operator.sight.following.cursor import Cursor
-from lfield.wire.coordinators import Transfer
 from lfield.wire.messages import Hello, Message, Refuse, Revocations
 from lfield.wire.watching import Events, Seen
 
@@ -74,12 +74,12 @@ class Follower:
     async def _follow(self, host: str) -> None:
         cursor = self._cursors[host]
         while True:
-            why = await self._once(host, cursor)
+            why, unheard = await self._once(host, cursor)
             self._hearer.unlinked(host, why)
-            await asyncio.sleep(cursor.failed())
+            await asyncio.sleep(cursor.failed(unheard=unheard))
 
-    async def _once(self, host: str, cursor: Cursor) -> str:
-        """Follow a host until there is no link any more; why that is."""
+    async def _once(self, host: str, cursor: Cursor) -> tuple[str, bool]:
+        """Follow a host until there is no link any more; why that is, and whether nothing was heard of it."""
         watching = Watching(host, cursor, self._hearer, self._clock, self._brings)
         link: Link | None = None
         try:
@@ -90,20 +90,20 @@ class Follower:
             self._tried[host] = address
             link = await self._transport.connect(address, watching)
             watching.greet(link)
-            return await watching.over
+            return await watching.over, watching.is_silent
         except AddressError as error:
             if isinstance(error, NobodyListens):
                 cursor.nobody()
-            return "; ".join(filter(None, (str(error), self._hint())))
+            return "; ".join(filter(None, (str(error), self._hint()))), True
         except LfieldError as error:
-            return str(error)
+            return str(error), False
         finally:
             watching.end()
             if link is not None:
                 link.abort()
 
 
-class Watching:
+class Watching(ObserverLink):
     """The handler of one link: greets, watches, hands on what comes, and says that it was read."""
 
     def __init__(
@@ -117,6 +117,8 @@ class Watching:
         self._due = 0.0
         self._heard = clock.monotonic()
         self._timer: asyncio.TimerHandle | None = None
+        #: Whether it was given up, since nothing came.
+        self.is_silent = False
         #: Why the link is over, when it is.
         self.over: asyncio.Future[str] = asyncio.get_running_loop().create_future()
 
@@ -169,17 +171,10 @@ class Watching:
         """Give up on a host that says nothing."""
         silent = self._clock.monotonic() - self._heard
         if silent >= SILENT:
+            self.is_silent = True
             self._over(f"nothing was heard of it for {silent:.0f} s")
             return
         self._timer = asyncio.get_running_loop().call_later(LOOK, self._look)
-
-    def on_transfer(self, link: Link, header: Transfer, block: memoryview) -> None:
-        """Nobody sends one to an observer."""
-        raise WireError("a coordinator was sent to an observer")
-
-    def on_oversize(self, link: Link, header: Transfer, size: int) -> None:
-        """Nor a larger one."""
-        raise WireError("a coordinator was sent to an observer")
 
     def on_closed(self, link: Link, error: LfieldError | None) -> None:
         """The link is gone."""

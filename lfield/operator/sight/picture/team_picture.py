@@ -57,6 +57,9 @@ class _Host:
     stopped_by: str = ""
     stopped_at: float | None = None
     paused: bool = False
+    waits_for: tuple[str, ...] = ()
+    start_held: str = ""
+    refused: dict[str, str] = field(default_factory=dict)
     late: float | None = None
     reaches: dict[str, bool] = field(default_factory=dict)
     away: dict[str, float] = field(default_factory=dict)
@@ -173,6 +176,9 @@ class Picture:
     def _status(self, name: str, host: _Host, status: Status, now: float) -> None:
         host.paused, host.late = status.paused, status.late
         host.stopped = status.stopped
+        host.refused = {refused.host: refused.reason for refused in status.refused}
+        host.waits_for = tuple(status.start.hosts) if status.start is not None else ()
+        host.start_held = status.start.held if status.start is not None else ""
         host.reaches = {link.host: True for link in status.links if link.away is None}
         host.away = {link.host: now - link.away for link in status.links if link.away is not None}
         host.offers = {told.agent: told.refusal for told in status.directory}
@@ -262,6 +268,9 @@ class Picture:
             ending=host.ending,
             stopped=host.stopped,
             paused=host.paused,
+            waits_for=host.waits_for,
+            start_held=host.start_held,
+            refused=dict(host.refused),
             late=host.late,
             reaches=tuple(host.reaches),
             away={peer: max(0.0, now - when) for peer, when in host.away.items()},
@@ -352,6 +361,12 @@ def _stands(host: _Host, what: object, when: float) -> None:
             host.paused = not lifted
         case events.Ending(reason):
             host.ending = reason
+        case events.Refused(peer, reason):
+            host.refused.pop(peer, None)
+            if reason:
+                host.refused[peer] = reason
+        case events.Waits(_, hosts, held):
+            host.waits_for, host.start_held = tuple(filter(None, hosts.split(", "))), held
         case events.Linked(peer):
             host.reaches[peer] = True
             host.away.pop(peer, None)

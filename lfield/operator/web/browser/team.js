@@ -191,6 +191,9 @@ export default {
       else if (host.trouble) parts.push(host.trouble);
       if (host.linked) parts.push(host.reaches.length ? `linked with ${host.reaches.join(", ")}` : "linked");
       for (const [other, seconds] of Object.entries(host.away)) parts.push(`misses ${other} for ${words.age(seconds)}`);
+      if (host.waits_for.length) parts.push(`start waits for ${host.waits_for.join(", ")}`);
+      if (host.start_held) parts.push(`start held: ${host.start_held}`);
+      for (const [other, reason] of Object.entries(host.refused)) parts.push(`no link with ${other}: ${reason}`);
       if (host.stopped) parts.push(host.linked ? "stopped" : "was stopped");
       if (host.paused) parts.push(host.linked ? "paused" : "was paused");
       if (host.clock !== null && Math.abs(host.clock) > 1) parts.push(`its clock is ${words.age(Math.abs(host.clock))} ${host.clock > 0 ? "ahead" : "behind"}`);

@@ -21,6 +21,8 @@ LANDING_PAUSE = 4.0
 SETPOINT_ACTIONS = {4: Role.LAND, 5: Role.HOLD}
 #: What PX4 says when it takes over at once.
 FAILSAFE = "Failsafe activated\t"
+#: Bits of COM_RC_OVERRIDE, and the mode that the sticks lead to.
+STICKS_IN_AUTO, STICKS_IN_OFFBOARD, BY_STICKS = 1, 2, "POSCTL"
 
 
 class Failsafes:
@@ -73,6 +75,7 @@ class Failsafes:
             self._leave_fence(role)
         if self._looks(dt):
             self._check_gcs()
+        self._check_sticks()
         self._check_setpoints()
         self._check_battery()
         self._check_position()
@@ -173,6 +176,19 @@ class Failsafes:
             self._stream_missed = pilot.critical = True
             pilot.say(FAILSAFE)
             pilot.fall_back(SETPOINT_ACTIONS.get(int(pilot.value("COM_OBL_RC_ACT")), Role.RETURN))
+
+    def _check_sticks(self) -> None:
+        """A pilot who moves the sticks gets a PX4 in the modes that COM_RC_OVERRIDE names.
+
+        An ArduPilot takes no notice of them in GUIDED.
+        """
+        pilot = self._pilot
+        if not (pilot.sticks and pilot.armed and self._rules.needs_stream) or pilot.role is Role.MANUAL:
+            return
+        bit = STICKS_IN_OFFBOARD if pilot.role is Role.GUIDED else STICKS_IN_AUTO
+        if int(pilot.value("COM_RC_OVERRIDE")) & bit:
+            pilot.say("Pilot took over using sticks\t")
+            pilot.command(BY_STICKS)
 
     def _is_guided(self) -> bool:
         """Whether setpoints are waited for; PX4 does so too while a failsafe holds it instead."""

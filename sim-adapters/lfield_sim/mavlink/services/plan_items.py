@@ -49,21 +49,33 @@ PLACED = ABOVE_SEA | ABOVE_HOME | ABOVE_TERRAIN
 #: MAV_FRAME_MISSION: the command has no place.
 UNPLACED = 2
 
-WAYPOINT, TAKEOFF = 16, 22
-#: Commands that are flown to: waypoint, the loiters, land, takeoff.
-PLACE_COMMANDS = frozenset({WAYPOINT, 17, 18, 19, 21, TAKEOFF})
-#: Commands that end when time or heading is reached: return, delay, condition delay, yaw.
-WAIT_COMMANDS = frozenset({20, 93, 112, 115})
-#: Commands that are done at once: jump, speed, home, region of interest, camera, gimbal, relay, servo,
-#: gripper.
-DO_COMMANDS = frozenset(
-    {177, 178, 179, 181, 183, 195, 197, 201, 203, 204, 205, 206, 207, 211, 530, 532, 1000, 2000, 2001}
-    | {2500, 2501}
+WAYPOINT, TAKEOFF, VTOL_TAKEOFF = 16, 22, 84
+#: Commands that both autopilots fly to: waypoint, loiter (for ever, for a time, to a height), land, takeoff,
+#: and the landing and takeoff of what can hover.
+BOTH_PLACES = frozenset({WAYPOINT, 17, 19, 21, TAKEOFF, 31, VTOL_TAKEOFF, 85})
+#: Those of ArduPilot alone: turns, change of height on the way, arc, spline, placing a payload.
+ARDUPILOT_PLACES = BOTH_PLACES | {18, 30, 36, 82, 94}
+PLACE_COMMANDS = ARDUPILOT_PLACES
+#: Done at once or waited for by both: return, delays, distance; jump, speed, home, region of interest,
+#: camera, gimbal, gripper, winch, landing mark.
+_BOTH = frozenset(
+    {20, 93, 112, 114, 177, 178, 179, 189, 195, 197, 201, 203, 205, 206, 211, 212, 530, 532, 534, 1000}
+    | {2000, 2001, 2500, 2501, 42600}
 )
+#: By ArduPilot alone: yaw, relays, servos, fence, parachute, inverted flight, direction, guided flight and
+#: its limits, engine, sprayer, scripts, switches, tags of jumps.
+_ARDUPILOT = frozenset(
+    {92, 115, 181, 182, 183, 184, 188, 194, 202, 207, 208, 210, 213, 215, 216, 217, 218, 222, 223, 531}
+    | {600, 601, 42702, 42703}
+)
+#: By PX4 alone: outputs, triggers, transitions, the gate, arming.
+_PX4 = frozenset({80, 187, 196, 200, 204, 214, 260, 400, 1001, 2003, 3000, 4501})
 FENCE_RETURN, POLYGON_IN, POLYGON_OUT, CIRCLE_IN, CIRCLE_OUT = 5000, 5001, 5002, 5003, 5004
 POLYGONS, CIRCLES = frozenset({POLYGON_IN, POLYGON_OUT}), frozenset({CIRCLE_IN, CIRCLE_OUT})
+#: Of missions that ArduPilot takes, and PX4.
+ARDUPILOT_COMMANDS = ARDUPILOT_PLACES | _BOTH | _ARDUPILOT
+PX4_COMMANDS = BOTH_PLACES | _BOTH | _PX4
 COMMANDS = {
-    PlanType.MISSION: PLACE_COMMANDS | WAIT_COMMANDS | DO_COMMANDS,
     PlanType.FENCE: POLYGONS | CIRCLES | {FENCE_RETURN},
     PlanType.RALLY: frozenset({5100}),
 }
@@ -113,7 +125,8 @@ class Item:
 
 def check(item: Item, kind: PlanType, *, nan_means_unset: bool) -> PlanResult:
     """Whether an autopilot takes an item. PX4 has NaN for "not given"; ArduPilot only as a waypoint's yaw."""
-    if item.command not in COMMANDS[kind]:
+    missions = PX4_COMMANDS if nan_means_unset else ARDUPILOT_COMMANDS
+    if item.command not in COMMANDS.get(kind, missions):
         return PlanResult.UNSUPPORTED
     if item.frame not in PLACED and (item.frame != UNPLACED or _has_place(item, kind)):
         return PlanResult.UNSUPPORTED_FRAME

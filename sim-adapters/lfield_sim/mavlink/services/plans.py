@@ -19,6 +19,7 @@ from lfield_sim.mavlink.services.plan_items import (
     ABOVE_SEA,
     PLACE_COMMANDS,
     TAKEOFF,
+    VTOL_TAKEOFF,
     WAYPOINT,
     Item,
     PlanResult,
@@ -122,7 +123,7 @@ class Plans(Service):
 
         A takeoff goes straight up, wherever its place is, to the height that it has.
         """
-        somewhere = (item.x, item.y) != (0, 0) or item.command == TAKEOFF
+        somewhere = (item.x, item.y) != (0, 0) or item.command in (TAKEOFF, VTOL_TAKEOFF)
         if item.command not in PLACE_COMMANDS or not somewhere:
             return None
         # The ground is flat at down 0, which is therefore what "above terrain" is above.

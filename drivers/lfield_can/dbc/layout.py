@@ -1,0 +1,252 @@
+"""Where the signals of a message are in its bytes, and what they mean. Pure.
+
+Bits are counted as DBC files count them: bit 0 is the lowest of byte 0, bit 8 the lowest of byte 1. The start
+of an Intel signal is its lowest bit, that of a Motorola signal its highest. Signals may overlap.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+
+#: Bytes of the longest frame, and the lengths that a frame of CAN FD can have beyond 8 bytes (ISO 11898-1).
+LONGEST, FD_LENGTHS = 64, (12, 16, 20, 24, 32, 48, 64)
+#: Bytes of the longest frame that is not of CAN FD.
+LONGEST_CLASSIC = 8
+#: IEEE 754 by its length in bits: its format in `struct`, and its greatest value.
+FLOATS: Mapping[int, tuple[str, float]] = {
+    16: ("e", 65504.0),
+    32: ("f", struct.unpack("<f", b"\xff\xff\x7f\x7f")[0]),
+    64: ("d", math.inf),
+}
+#: Tools write the ends of a range with six digits: a value may miss one by this share.
+ROUNDING = 5e-6
+
+
+class OutOfRange(ValueError):
+    """A value that a signal cannot carry; the message is a sentence."""
+
+
+@dataclass(frozen=True, slots=True)
+class Signal:
+    """One signal. `minimum` and `maximum` are None where the file gives no range ([0|0]).
+
+    `multiplexer_ids` are the values of the multiplexer `multiplexer_signal` under which it is in its message.
+    """
+
+    name: str
+    start: int
+    length: int
+    is_motorola: bool = False
+    is_signed: bool = False
+    is_float: bool = False
+    scale: float = 1.0
+    offset: float = 0.0
+    minimum: float | None = None
+    maximum: float | None = None
+    unit: str = ""
+    is_multiplexer: bool = False
+    multiplexer_signal: str | None = None
+    multiplexer_ids: Sequence[range] = ()
+
+    @property
+    def first(self) -> int:
+        """Its first bit in the order in which it is written."""
+        return self.start ^ 7 if self.is_motorola else self.start
+
+    @property
+    def end(self) -> int:
+        """Bits that its message must have at least: it lies in whole bytes up to there."""
+        return self.first + self.length
+
+    def is_selected(self, raw: Mapping[str, int | float]) -> bool:
+        """Whether the multiplexer, as it is, has the signal in the message."""
+        if self.multiplexer_signal is None:
+            return True
+        value = raw.get(self.multiplexer_signal)
+        return value is not None and any(value in ids for ids in self.multiplexer_ids)
+
+    def extract(self, data: bytes) -> int | float:
+        """Its raw value in bytes that are long enough."""
+        if self.is_motorola:
+            bits = int.from_bytes(data, "big") >> 8 * len(data) - self.end
+        else:
+            bits = int.from_bytes(data, "little") >> self.start
+        bits &= (1 << self.length) - 1
+        if self.is_float:
+            size = self.length // 8
+            number: float = struct.unpack(f">{FLOATS[self.length][0]}", bits.to_bytes(size, "big"))[0]
+            return number
+        return bits - (1 << self.length) if self.is_signed and bits >> self.length - 1 else bits
+
+    def insert(self, raw: int | float, size: int) -> tuple[int, int]:
+        """A raw value as bits of a message of `size` bytes, and the mask of them, as Intel numbers."""
+        if self.is_float:
+            bits = int.from_bytes(struct.pack(f">{FLOATS[self.length][0]}", raw), "big")
+        else:
+            bits = int(raw) & (1 << self.length) - 1
+        mask = (1 << self.length) - 1
+        if not self.is_motorola:
+            return bits << self.start, mask << self.start
+        shift = 8 * size - self.end
+        return _turned(bits << shift, size), _turned(mask << shift, size)
+
+    def to_physical(self, raw: int | float) -> float:
+        """The value in the unit of the file."""
+        return raw * self.scale + self.offset
+
+    def to_raw(self, value: float) -> int | float:
+        """The raw value that is nearest. Raises OutOfRange: no number, outside its range or its bits."""
+        if not math.isfinite(value):
+            raise OutOfRange(f"{self.name} needs a finite number, not {value}")
+        least, greatest = representable(self)
+        lowest = least if self.minimum is None else max(least, self.minimum)
+        highest = greatest if self.maximum is None else min(greatest, self.maximum)
+        # The nearest value that its bits hold is as good at the ends as between them. An end that the file
+        # gives is one of them, or what is left of it in a few digits.
+        below = self._step if lowest == least else self._rounding(lowest)
+        above = self._step if highest == greatest else self._rounding(highest)
+        if not lowest - below <= value <= highest + above:
+            unit = f" {self.unit}" if self.unit else ""
+            raise OutOfRange(
+                f"{self.name} cannot be {value:.12g}{unit}: it is from {lowest:.12g} to {highest:.12g}{unit}"
+            )
+        return self._nearest(min(max(value, lowest), highest))
+
+    @property
+    def _step(self) -> float:
+        """How far a value may be from one that its bits hold."""
+        return 0.0 if self.is_float else 0.5 * abs(self.scale)
+
+    def _rounding(self, end: float) -> float:
+        """How far an end of a range may be from the value that it stands for."""
+        share = ROUNDING * abs(end)
+        return share if self.is_float else min(share, self._step)
+
+    def _nearest(self, value: float) -> int | float:
+        """The raw value that is nearest to one in its range."""
+        raw = (value - self.offset) / self.scale
+        if self.is_float:
+            limit = FLOATS[self.length][1]
+            return min(max(raw, -limit), limit)
+        low, high = self.raw_range
+        return min(max(round(raw), low), high)
+
+    @property
+    def raw_range(self) -> tuple[int, int]:
+        """The lowest and highest number that its bits hold, as integers."""
+        if self.is_signed:
+            return -(1 << self.length - 1), (1 << self.length - 1) - 1
+        return 0, (1 << self.length) - 1
+
+
+def representable(signal: Signal) -> tuple[float, float]:
+    """The lowest and highest value that the bits of a signal can hold."""
+    limit = FLOATS[signal.length][1] if signal.is_float else 0.0
+    ends = (-limit, limit) if signal.is_float else signal.raw_range
+    lowest, highest = sorted(signal.to_physical(end) for end in ends)
+    return lowest, highest
+
+
+@dataclass(frozen=True)
+class Message:
+    """One message: its id, its length in bytes, and its signals in the order of their bits."""
+
+    name: str
+    frame_id: int
+    length: int
+    signals: Sequence[Signal] = ()
+    is_extended_frame: bool = False
+    is_fd: bool = False
+    #: Whether it is the parameter group of SAE J1939, whatever its priority and whoever sends it.
+    is_j1939: bool = False
+    #: Signals that the file has and no frame can carry, with the reasons.
+    unusable: Mapping[str, str] = field(default_factory=dict)
+
+    @cached_property
+    def size(self) -> int:
+        """Bytes of its frame: a frame of CAN FD is filled up to a length that there is."""
+        return next((size for size in (self.length, *FD_LENGTHS) if _is_length(size, self.length)), LONGEST)
+
+    def decode(self, data: bytes) -> dict[str, float]:
+        """The values that are in these bytes, by signal; those that lie beyond them are absent."""
+        raw = self._raw(data)
+        return {
+            signal.name: signal.to_physical(raw[signal.name]) for signal in self.signals if signal.name in raw
+        }
+
+    def problem(self, data: bytes) -> str:
+        """What is wrong with a frame of these bytes, in words; '' for nothing."""
+        words = []
+        kind = f"frame 0x{self.frame_id:X}"
+        raw = self._raw(data)
+        if len(data) < self.length:
+            lost = [s.name for s in self.signals if s.end > 8 * len(data) and _may_be_here(s, raw)]
+            absent = f": signal{'s' * (len(lost) != 1)} {', '.join(lost)} absent" if lost else ""
+            words.append(f"{kind} has {_bytes(len(data))}, the file says {self.length}{absent}")
+        for signal in self.signals:
+            if signal.is_multiplexer and signal.name in raw and not self._is_known(signal, raw[signal.name]):
+                words.append(
+                    f"{kind} has {raw[signal.name]} in {signal.name}, which selects no signal of {self.name}"
+                )
+        return "; ".join(words)
+
+    def encode(self, values: Mapping[str, float]) -> bytes:
+        """Its bytes with these values; of multiplexed signals, those that are selected.
+
+        Raises OutOfRange, and KeyError with the name of a signal that is missing.
+        """
+        raw: dict[str, int | float] = {}
+        bits = 0
+        for signal in self._in_order:
+            if not signal.is_selected(raw):
+                continue
+            raw[signal.name] = signal.to_raw(values[signal.name])
+            part, mask = signal.insert(raw[signal.name], self.size)
+            bits = bits & ~mask | part
+        return bits.to_bytes(self.size, "little")
+
+    @cached_property
+    def _in_order(self) -> Sequence[Signal]:
+        """Its signals, multiplexers before what they select."""
+        done: list[Signal] = []
+        names: set[str | None] = {None}
+        left = list(self.signals)
+        while ready := [signal for signal in left if signal.multiplexer_signal in names]:
+            done += ready
+            left = [signal for signal in left if signal.multiplexer_signal not in names]
+            names.update(signal.name for signal in ready)
+        return tuple(done)
+
+    def _raw(self, data: bytes) -> dict[str, int | float]:
+        raw: dict[str, int | float] = {}
+        for signal in self._in_order:
+            if signal.end <= 8 * len(data) and signal.is_selected(raw):
+                raw[signal.name] = signal.extract(data)
+        return raw
+
+    def _is_known(self, multiplexer: Signal, value: int | float) -> bool:
+        """Whether a value of a multiplexer selects any signal; where none is ever selected, every value."""
+        selected = [s for s in self.signals if s.multiplexer_signal == multiplexer.name]
+        return not selected or any(value in ids for s in selected for ids in s.multiplexer_ids)
+
+
+def _may_be_here(signal: Signal, raw: Mapping[str, int | float]) -> bool:
+    """Whether a signal would be in the message; where its multiplexer is absent too nobody knows."""
+    return signal.multiplexer_signal not in raw or signal.is_selected(raw)
+
+
+def _turned(bits: int, size: int) -> int:
+    """A number that was read from bytes as Motorola, as it is read as Intel."""
+    return int.from_bytes(bits.to_bytes(size, "big"), "little")
+
+
+def _is_length(size: int, least: int) -> bool:
+    return size >= least and (size <= LONGEST_CLASSIC or size in FD_LENGTHS)
+
+
+def _bytes(count: int) -> str:
+    return f"{count} byte{'s' * (count != 1)}"

@@ -1,0 +1,90 @@
+"""The statements of a DBC file, one after the other, each with its place. Pure.
+
+A file is taken as tools write it: a text may have several lines, a statement without its ';' ends where the
+next one begins, and what is no statement is told and skipped.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from lfield.driver import Diagnostics, Source, Span
+from lfield_can.dbc import findings
+
+#: Statements that end with their line.
+_LINES = frozenset({"BO_", "SG_", "BS_", "VERSION"})
+#: Those that end where the next statement begins: the list of nodes may have a line for each.
+_LISTS = frozenset({"BU_"})
+#: Statements that end with ';'.
+_ENDED = frozenset(
+    {
+        "BA_", "BA_DEF_", "BA_DEF_DEF_", "BA_DEF_DEF_REL_", "BA_DEF_REL_", "BA_DEF_SGTYPE_", "BA_REL_",
+        "BA_SGTYPE_", "BO_TX_BU_", "BU_BO_REL_", "BU_EV_REL_", "BU_SG_REL_", "CAT_", "CAT_DEF_", "CM_",
+        "ENVVAR_DATA_", "EV_", "EV_DATA_", "FILTER", "SGTYPE_", "SGTYPE_VAL_", "SG_MUL_VAL_",
+        "SIGTYPE_VALTYPE_", "SIG_GROUP_", "SIG_TYPE_REF_", "SIG_VALTYPE_", "VAL_", "VAL_TABLE_",
+    }
+)  # fmt: skip
+KEYWORDS = _LINES | _LISTS | _ENDED | {"NS_"}
+_WORD = re.compile(r"[^\s:;\"]+")
+_BLANK = re.compile(r"(?:\s|//[^\n]*)+")
+#: What the list of new symbols after NS_ has: words, each alone on its line or several on one.
+_SYMBOLS = re.compile(r"\s*:?(?:[ \t]*\n[ \t]+[A-Z_0-9]+(?=\s*\n)|[ \t]+[A-Z_0-9]+(?=[ \t]|\n))*")
+#: A line that begins with a statement; the next quote, end of a statement, or such a line.
+_BEGIN = r"\n(?=[ \t]*(?:" + "|".join(sorted(KEYWORDS, key=len, reverse=True)) + r")[\s:])"
+_NEXT, _NEXT_LINE = re.compile(f'"|;|{_BEGIN}'), re.compile(f"{_BEGIN}|$")
+#: The end of a text; \" is no end, unless nothing but the end of the statement follows.
+_CLOSED = re.compile(r'(?<!\\)"|\\"(?=\s*(?:;\s*$|;\s*\n))')
+
+
+@dataclass(frozen=True, slots=True)
+class Statement:
+    """One statement: its keyword, what follows, and where that begins in the source."""
+
+    keyword: str
+    body: str
+    at: int
+
+
+def statements(source: Source, found: Diagnostics) -> Iterator[Statement]:
+    """Every statement that there is; what is none is told to `found`."""
+    text, at = source.text, 0
+    while True:
+        blank = _BLANK.match(text, at)
+        at = blank.end() if blank else at
+        if at >= len(text):
+            return
+        word = _WORD.match(text, at)
+        keyword = word[0] if word else text[at]
+        start = at + len(keyword)
+        if keyword == "NS_":
+            symbols = _SYMBOLS.match(text, start)
+            at = symbols.end() if symbols else start
+            continue
+        if keyword in _ENDED:
+            end = _end(source, at, start, found)
+        else:
+            end = text.find("\n", start)
+            end = len(text) if end < 0 else end
+            if keyword in _LISTS and (match := _NEXT_LINE.search(text, start)):
+                end = match.start()
+            elif keyword not in _LINES and keyword != ";":
+                found.add(findings.UNKNOWN.at(Span(source, at, start), word=keyword))
+        yield Statement(keyword, text[start:end], start)
+        at = end + 1 if text[end : end + 1] == ";" else end
+
+
+def _end(source: Source, begin: int, start: int, found: Diagnostics) -> int:
+    """Where a statement that should end with ';' ends."""
+    text, at = source.text, start
+    while (match := _NEXT.search(text, at)) and match[0] == '"':
+        closed = _CLOSED.search(text, match.end())
+        if closed is None:
+            found.add(findings.UNCLOSED_TEXT.at(Span(source, match.start(), match.end())))
+            return len(text)
+        at = closed.end()
+    if match and match[0] == ";":
+        return match.start()
+    found.add(findings.UNENDED.at(Span(source, begin, start)))
+    return match.start() if match else len(text)

@@ -1,0 +1,237 @@
+"""Where the packets of one system id come from, and whether that is one vehicle. Pure: packets and times in.
+
+Two addresses behind one port that both keep sending heartbeats are two vehicles. A vehicle whose address has
+changed is not: the old address falls silent. Over several links one vehicle is heard from several addresses;
+that it is one shows by the unique id of its board, and where it tells none, by the clock since its start.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+from lfield_mavlink.link.dialect import dialect
+
+#: Seconds after its last packet for which an address still counts as in use, and for which a second one that
+#: sends heartbeats is a conflict.
+IN_USE, LASTS = 2.5, 4.0
+#: Seconds for which both must send: packets of an address that was given up may be overtaken.
+BOTH = 0.5
+#: Seconds that are listened before it is known that there is one vehicle: an autopilot's heartbeat is 1 Hz.
+LISTENS = 1.2
+#: Addresses that are remembered, and how often each is asked for its unique id, every so many seconds.
+MOST, ASKS, ASK_AGAIN = 16, 5, 0.5
+#: Seconds by which two clocks since the start may seem to differ over two links.
+SAME_CLOCK = 2.0
+#: How often a clock goes back within so many seconds when two vehicles share one address.
+BACKWARDS, WITHIN = 3, 5.0
+
+
+class Source(NamedTuple):
+    """The number of a link, and the address behind it; '' where a link has one far end only."""
+
+    link: int
+    address: str = ""
+
+
+class Board(NamedTuple):
+    """What AUTOPILOT_VERSION says of a board: its unique id ('' for none), and its firmware."""
+
+    uid: str
+    firmware: tuple[int, ...]
+
+    @classmethod
+    def of(cls, message: Any) -> Board:
+        """Of uid2 and uid: PX4's simulators have the same uid everywhere, ArduPilot has uid2 alone."""
+        long = bytes(message.uid2).rstrip(b"\0")
+        uid = long.hex() + (f"-{message.uid:x}" if message.uid else "") if long or message.uid else ""
+        versions = (message.flight_sw_version, message.middleware_sw_version, message.os_sw_version)
+        kinds = (message.board_version, message.vendor_id, message.product_id)
+        return cls(uid, (*versions, *kinds, *message.flight_custom_version))
+
+
+@dataclass(slots=True)
+class _Seen:
+    """What came from one source."""
+
+    at: float = -math.inf
+    first_beat: float = math.inf
+    beat: float = -math.inf
+    board: Board | None = None
+    asked: int = 0
+    asked_at: float = -math.inf
+    #: The vehicle's seconds since its start less ours, at the least delay.
+    clock: float | None = None
+    booted: float = -math.inf
+    backwards: deque[float] = field(default_factory=lambda: deque(maxlen=BACKWARDS))
+
+    def on_packet(self, message: Any, now: float) -> None:
+        """Take one in."""
+        self.at = now
+        if message.get_msgId() == dialect.MAVLINK_MSG_ID_HEARTBEAT:
+            if now - self.beat > LASTS:
+                self.first_beat, self.asked = now, 0
+            self.beat = now
+        elif message.get_msgId() == dialect.MAVLINK_MSG_ID_AUTOPILOT_VERSION:
+            self.board = Board.of(message)
+        elif message.get_msgId() == dialect.MAVLINK_MSG_ID_ATTITUDE:
+            # One kind only: some senders give each kind of message a clock of its own.
+            self._on_clock(message.time_boot_ms / 1000.0, now)
+
+    def _on_clock(self, booted: float, now: float) -> None:
+        if booted < self.booted - 1.0:
+            self.backwards.append(now)
+        self.booted, ahead = booted, booted - now
+        if self.clock is None or ahead > self.clock or ahead < self.clock - SAME_CLOCK:
+            self.clock = ahead
+
+    def is_mixed(self, now: float) -> bool:
+        """Whether two clocks come from here by turns."""
+        return len(self.backwards) == BACKWARDS and now - self.backwards[0] <= WITHIN
+
+    def is_same(self, other: _Seen) -> bool | None:
+        """Whether both are one vehicle; None as long as that is not known."""
+        if self.board is None or other.board is None:
+            if self.asked < ASKS:
+                return None
+        elif self.board != other.board or self.board.uid:
+            return self.board == other.board
+        clocks = self.clock, other.clock
+        return None in clocks or abs(clocks[0] - clocks[1]) <= SAME_CLOCK  # type: ignore[operator]
+
+
+class Sources:
+    """The addresses of one system id. `links` are the endpoints by number, for words.
+
+    `events` are sentences for the log, and `moves` counts how often the vehicle came from another address.
+    """
+
+    def __init__(self, system: int, links: Sequence[str]) -> None:
+        self._system, self._links = system, links
+        # Only a port that listens, or a second link, can bring a second vehicle that is told by its address.
+        self._several = len(links) > 1 or any(link.startswith("udpin:") for link in links)
+        self._seen: dict[Source, _Seen] = {}
+        self._own: set[Source] = set()
+        self._first = math.inf
+        self._rivals: dict[Source, float] = {}
+        self.events: list[str] = []
+        self.moves = 0
+
+    # -- packets ------------------------------------------------------------------------------------------
+
+    def accepts(self, source: Source) -> bool:
+        """Whether packets from there are the vehicle's, as far as is known."""
+        return source in self._own
+
+    def touch(self, source: Source, now: float) -> None:
+        """A packet that need not be read came from one of the vehicle's own addresses."""
+        self._seen[source].at = now
+
+    def on_packet(self, source: Source, message: Any, now: float) -> bool:
+        """A packet of the vehicle's autopilot; whether it is believed.
+
+        What comes from an address before its first heartbeat is not: it may be no autopilot's.
+        """
+        seen = self._seen.get(source)
+        if seen is None:
+            if message.get_msgId() != dialect.MAVLINK_MSG_ID_HEARTBEAT:
+                return False
+            seen = self._add(source)
+        seen.on_packet(message, now)
+        if source in self._own:
+            return True
+        if not self._own:
+            self._own.add(source)
+            self._first = now
+            return True
+        if message.get_msgId() == dialect.MAVLINK_MSG_ID_HEARTBEAT:
+            self._on_other(source, seen, now)
+        return source in self._own
+
+    def _add(self, source: Source) -> _Seen:
+        others = [each for each in self._seen if each not in self._own]
+        if len(self._seen) >= MOST and others:
+            oldest = min(others, key=lambda each: self._seen[each].at)
+            del self._seen[oldest]
+            self._rivals.pop(oldest, None)
+        return self._seen.setdefault(source, _Seen())
+
+    def _on_other(self, source: Source, seen: _Seen, now: float) -> None:
+        """A heartbeat from an address that is not known as the vehicle's."""
+        used = [each for each in self._own if now - self._seen[each].at <= IN_USE]
+        if not used:
+            before = ", ".join(map(self._words, sorted(self._own)))
+            self._own = {source}
+            self._rivals.pop(source, None)
+            self.moves += 1
+            self.events.append(f"heard from {self._words(source)}, no longer from {before}")
+            return
+        same_port = [each for each in used if each.link == source.link]
+        if same_port:
+            both = any(self._seen[each].at - seen.first_beat >= BOTH for each in same_port)
+            if both:
+                self._conflict(source, now)
+        elif (same := self._is_same(seen, used)) is None:
+            return
+        elif same:
+            self._own = {each for each in self._own if each.link != source.link} | {source}
+            self._rivals.pop(source, None)
+            self.moves += 1
+        else:
+            self._conflict(source, now)
+
+    def _is_same(self, seen: _Seen, used: Sequence[Source]) -> bool | None:
+        found = [seen.is_same(self._seen[each]) for each in used]
+        return False if False in found else None if None in found else True
+
+    def _conflict(self, source: Source, now: float) -> None:
+        if now - self._rivals.get(source, -math.inf) > LASTS:
+            own = ", ".join(map(self._words, sorted(self._own)))
+            self.events.append(
+                f"two vehicles send as system {self._system}: {own}, and {self._words(source)}, which is "
+                "ignored; give each vehicle a system id of its own (MAV_SYSID, SYSID_THISMAV or MAV_SYS_ID)"
+            )
+        self._rivals[source] = now
+
+    # -- what follows -------------------------------------------------------------------------------------
+
+    def conflict(self, now: float) -> str:
+        """Which addresses are two vehicles with this system id; '' when none are."""
+        rivals = [each for each, at in self._rivals.items() if now - at <= LASTS]
+        if rivals:
+            names = " and ".join(map(self._words, (*sorted(self._own), *sorted(rivals))))
+            return f"two vehicles send as system {self._system}: {names}"
+        for each in sorted(self._own):
+            if self._seen[each].is_mixed(now):
+                return f"two vehicles send as system {self._system}, both over {self._words(each)}"
+        return ""
+
+    def is_settled(self, now: float) -> bool:
+        """Whether it is known that there is one vehicle, or that there are two."""
+        if not self._several or self.conflict(now):
+            return True
+        pending = (now - seen.beat <= LASTS for source, seen in self._seen.items() if source not in self._own)
+        return now - self._first >= LISTENS and not any(pending)
+
+    def due(self, now: float) -> list[Source]:
+        """The addresses to ask for AUTOPILOT_VERSION now: those of other links that may be the vehicle's."""
+        found = []
+        links = {each.link for each in self._own if now - self._seen[each].at <= IN_USE}
+        for source, seen in self._seen.items():
+            waits = source not in self._own and source.link not in links and seen.board is None
+            if waits and now - seen.beat <= LASTS and seen.asked < ASKS and now - seen.asked_at >= ASK_AGAIN:
+                seen.asked, seen.asked_at = seen.asked + 1, now
+                found.append(source)
+        return found
+
+    def address(self, link: int) -> str:
+        """Where the vehicle is behind a link; '' for everywhere."""
+        return next((each.address for each in self._own if each.link == link), "")
+
+    def _words(self, source: Source) -> str:
+        """`udpin:0.0.0.0:14550 from 10.0.0.5:14555`."""
+        endpoint = self._links[source.link]
+        return f"{endpoint} from {source.address}" if source.address else endpoint

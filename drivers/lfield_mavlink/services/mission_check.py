@@ -1,0 +1,395 @@
+"""Where the items of a mission lead, by kind of item, held against the limits of a binding. Pure.
+
+Which command is of which kind is in `mission_rules`.
+https://mavlink.io/en/messages/common.html#mav_commands
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from lfield.driver import DeviceError
+from lfield_mavlink.geo import Place, Vector
+from lfield_mavlink.limits import Limits
+from lfield_mavlink.link.dialect import dialect
+from lfield_mavlink.services.mission_paths import arc_corners, spline_corners
+from lfield_mavlink.services.plan_items import Item, command_name
+
+#: MISSION_ITEM_INT.x or y of "the place where the vehicle is".
+HERE = 0x7FFFFFFF
+#: What lifts a vehicle off the ground, and what may come before it in a mission that begins there.
+TAKEOFFS = frozenset(
+    {
+        dialect.MAV_CMD_NAV_TAKEOFF,
+        dialect.MAV_CMD_NAV_VTOL_TAKEOFF,
+        dialect.MAV_CMD_NAV_TAKEOFF_LOCAL,
+    }
+)
+#: Commands below this number are flown (NAV), but those of `_NOT_FLOWN`; later ones are done beside it.
+_LAST_FLOWN = dialect.MAV_CMD_NAV_LAST
+_NOT_FLOWN = frozenset(
+    {
+        dialect.MAV_CMD_NAV_ROI,
+        dialect.MAV_CMD_NAV_DELAY,
+        dialect.MAV_CMD_DO_FOLLOW,
+        dialect.MAV_CMD_DO_FOLLOW_REPOSITION,
+        dialect.MAV_CMD_DO_ORBIT,
+        dialect.MAV_CMD_DO_FIGURE_EIGHT,
+    }
+)
+#: Commands with a number beyond `_LAST_FLOWN` that are flown all the same.
+_FLOWN = frozenset(
+    {
+        dialect.MAV_CMD_NAV_SET_YAW_SPEED,
+        dialect.MAV_CMD_NAV_SCRIPT_TIME,
+        dialect.MAV_CMD_NAV_ATTITUDE_TIME,
+    }
+)
+
+#: Commands of items that are at a place.
+PLACED = frozenset(
+    {
+        dialect.MAV_CMD_NAV_WAYPOINT,
+        dialect.MAV_CMD_NAV_LOITER_UNLIM,
+        dialect.MAV_CMD_NAV_LOITER_TURNS,
+        dialect.MAV_CMD_NAV_LOITER_TIME,
+        dialect.MAV_CMD_NAV_LOITER_TO_ALT,
+        dialect.MAV_CMD_NAV_LAND,
+        dialect.MAV_CMD_NAV_VTOL_LAND,
+        dialect.MAV_CMD_NAV_TAKEOFF,
+        dialect.MAV_CMD_NAV_VTOL_TAKEOFF,
+        dialect.MAV_CMD_NAV_PAYLOAD_PLACE,
+        dialect.MAV_CMD_NAV_SPLINE_WAYPOINT,
+        dialect.MAV_CMD_NAV_ARC_WAYPOINT,
+        dialect.MAV_CMD_DO_ORBIT,
+        dialect.MAV_CMD_DO_REPOSITION,
+    }
+)
+#: Commands that make another item the current one.
+JUMPS = (
+    dialect.MAV_CMD_DO_JUMP,
+    dialect.MAV_CMD_DO_JUMP_TAG,
+    dialect.MAV_CMD_DO_SET_MISSION_CURRENT,
+)
+
+#: Commands whose path is a curve that begins at the place before.
+CURVES = (dialect.MAV_CMD_NAV_SPLINE_WAYPOINT, dialect.MAV_CMD_NAV_ARC_WAYPOINT)
+
+
+@dataclass(frozen=True, slots=True)
+class Situation:
+    """What is known of the vehicle beside its mission.
+
+    `home` is None as long as the vehicle has not told it, `here` (metres of home) likewise. `loiter` is the
+    radius in metres of a circle whose item names none, `climbs` the height above home in metres at which it
+    returns with the name of that parameter; None where they are not known. `rally` are its rally points.
+    `begins_here` is set when the mission starts now from where the vehicle is.
+    """
+
+    kind: str
+    px4: bool
+    home: Place | None
+    here: Vector | None
+    loiter: float | None = None
+    climbs: tuple[float, str] | None = None
+    rally: Sequence[Item] = ()
+    begins_here: bool = False
+
+
+def begins_with_takeoff(items: Sequence[Item]) -> bool:
+    """Whether the first item that is flown is a takeoff: cameras, speeds and delays may come before it."""
+    flown = next((item.command for item in items if _is_flown(item.command)), None)
+    return flown in TAKEOFFS
+
+
+def _is_flown(command: int) -> bool:
+    return (command < _LAST_FLOWN and command not in _NOT_FLOWN) or command in _FLOWN
+
+
+def has_command(items: Sequence[Item], *commands: int) -> bool:
+    """Whether one of the items is of these commands."""
+    return any(item.command in commands for item in items)
+
+
+class MissionCheck:
+    """One mission against the limits. `error` makes the exception for a reason."""
+
+    def __init__(
+        self,
+        what: str,
+        items: Sequence[Item],
+        limits: Limits,
+        error: Callable[[str], DeviceError],
+        situation: Situation,
+    ) -> None:
+        self._what, self._items, self._limits, self._error = what, items, limits, error
+        self._at = situation
+        self._path: list[tuple[int, Vector]] | None = None
+
+    # -- structure ----------------------------------------------------------------------------------------
+
+    def structure(self, number: int, item: Item) -> None:
+        """Raise DeviceError when an item is wrong whatever the limits are."""
+        if item.command in PLACED:
+            self._check_place(number, item)
+        first = 0 if self._at.px4 else 1
+        jumps = (dialect.MAV_CMD_DO_JUMP, dialect.MAV_CMD_DO_SET_MISSION_CURRENT)
+        if item.command in jumps and not first <= item.parameters[0] < len(self._items) + first:
+            raise self._wrong(number, item, f"there is no item {item.parameters[0]:g} to jump to")
+        if item.command == dialect.MAV_CMD_DO_JUMP_TAG and not any(
+            other.command == dialect.MAV_CMD_JUMP_TAG and other.parameters[0] == item.parameters[0]
+            for other in self._items
+        ):
+            raise self._wrong(number, item, f"there is no tag {item.parameters[0]:g} to jump to")
+
+    def _check_place(self, number: int, item: Item) -> None:
+        beyond = (item.x != HERE and abs(item.x) > 900_000_000) or (
+            item.y != HERE and abs(item.y) > 1_800_000_000
+        )
+        if beyond or math.isinf(item.z):
+            raise self._wrong(
+                number, item, f"{item.x / 1e7:g}, {item.y / 1e7:g} at {item.z:g} m is no place on the Earth"
+            )
+
+    # -- rules: `mission_rules` says of which commands each is -----------------------------------------
+
+    def allow(self, number: int, item: Item) -> None:
+        """It moves nothing."""
+
+    def refuse(self, number: int, item: Item) -> None:
+        """Nobody knows what it does, or it hands the vehicle to somebody who keeps no limits."""
+        raise self._wrong(
+            number, item, "its place, height, speed or home is not known to stay inside the limits"
+        )
+
+    def goal(self, number: int, item: Item) -> None:
+        """It is flown to."""
+        self._check_goal(number, item)
+
+    def waypoint(self, number: int, item: Item) -> None:
+        """It is flown to, or passed at a distance (parameter 3)."""
+        self._check_goal(number, item, 0.0 if math.isnan(item.parameters[2]) else abs(item.parameters[2]))
+
+    def land(self, number: int, item: Item) -> None:
+        """It comes down there; it may go round at a height above home (parameter 1 of NAV_LAND)."""
+        self._check_goal(number, item, sinks=True)
+        self._check_height(number, item, item.parameters[0])
+
+    def vtol_land(self, number: int, item: Item) -> None:
+        """It comes down there, from a height in parameter 3, in the frame of the item."""
+        self._check_goal(number, item, sinks=True)
+        approach = item.parameters[2]
+        if approach and not math.isnan(approach):
+            self._check_height(number, item, self._above_home(item, approach))
+
+    def loiter(self, number: int, item: Item) -> None:
+        """It is circled: by what has wings, and with LOITER_TURNS by everything."""
+        self._check_goal(number, item, self._circle(item, item.parameters[2]))
+
+    def loiter_to_height(self, number: int, item: Item) -> None:
+        """It is circled while the height changes."""
+        self._check_goal(number, item, self._circle(item, item.parameters[1]))
+
+    def orbit(self, number: int, item: Item) -> None:
+        """A circle of a radius (parameter 1) with a speed (parameter 2)."""
+        self._check_goal(number, item, abs(item.parameters[0]))
+        self._check_speed(number, item, item.parameters[1])
+
+    def reposition(self, number: int, item: Item) -> None:
+        """A goal with a speed (parameter 1; -1 changes nothing); what has wings circles it (parameter 3)."""
+        self._check_goal(number, item, self._circle(item, item.parameters[2]))
+        if item.parameters[0] != -1.0:
+            self._check_speed(number, item, item.parameters[0])
+
+    def climb_on(self, number: int, item: Item) -> None:
+        """It goes on straight ahead until it is at a height: how far is not known."""
+        if self._limits.bounds_radius:
+            self.refuse(number, item)
+        self._check_height(number, item, self._above_home(item, item.z))
+
+    def height(self, number: int, item: Item) -> None:
+        """A height in parameter 7."""
+        self._check_height(number, item, self._above_home(item, item.z))
+
+    def change_altitude(self, number: int, item: Item) -> None:
+        """A height in parameter 1, in the frame of parameter 2."""
+        height, frame = item.parameters[:2]
+        framed = Item(item.command, int(frame) if 0 <= frame < 256 else -1, 0, 0)
+        self._check_height(number, item, self._above_home(framed, height))
+
+    def spline(self, number: int, item: Item) -> None:
+        """A curve that bulges beyond its places."""
+        self._check_goal(number, item)
+        for start, before in self._starts(number, item):
+            goal, after = self._position(item), self._after(number)
+            for corner in spline_corners(before, start, goal, after):
+                self._limits.check_goal(f"{self._what}: the curve of item {number}", corner)
+
+    def arc(self, number: int, item: Item) -> None:
+        """A part of a circle from the place before to this one; parameter 1 is its angle in degrees."""
+        self._check_goal(number, item)
+        for start, _ in self._starts(number, item):
+            corners = arc_corners(start, self._position(item), item.parameters[0])
+            if corners is None:
+                raise self._wrong(number, item, f"there is no arc of {item.parameters[0]:g} degrees")
+            for corner in corners:
+                self._limits.check_goal(f"{self._what}: the arc of item {number}", corner)
+
+    def speed(self, number: int, item: Item) -> None:
+        """Speeds in air (0) and over ground (1) count; those of climb (2) and descent (3) do not.
+
+        -1 changes nothing. A throttle (parameter 3) drives what is no copter at a speed that nobody knows.
+        """
+        kind, speed, throttle = item.parameters[:3]
+        if kind in (2.0, 3.0) or not self._limits.bounds_speed:
+            return
+        if kind not in (0.0, 1.0) or (throttle > 0.0 and self._at.kind != "copter"):
+            self.refuse(number, item)
+        if speed != -1.0:
+            self._check_speed(number, item, speed)
+
+    def set_home(self, number: int, item: Item) -> None:
+        """The limits are about home."""
+        if self._limits.bound_places:
+            raise self._wrong(number, item, "it changes home, which the limits are about")
+
+    def back(self, number: int, item: Item) -> None:
+        """Home, or to a rally point, at a height of the autopilot's own."""
+        if self._limits.bounds_heights and self._at.kind != "rover":
+            if self._at.climbs is None:
+                raise self._wrong(number, item, "the height at which it returns is not known")
+            height, parameter = self._at.climbs
+            self._limits.check_return(f"{self._what}: item {number}", height, parameter)
+        for index, point in enumerate(self._at.rally):
+            self.rally_point(index, point)
+
+    def rally_point(self, number: int, item: Item) -> None:
+        """Where a return may lead."""
+        self._check_goal(number, item, words=f"{self._what}: rally point {number}")
+
+    def fence(self, number: int, item: Item) -> None:
+        """Switching the autopilot's own fence off takes away what holds it when this computer is gone."""
+        if not item.parameters[0] >= 1.0:
+            raise self._wrong(number, item, "it switches the autopilot's own fence off")
+
+    def guided_limits(self, number: int, item: Item) -> None:
+        """Bounds for an external controller: a height above sea level (3) and a distance (4), 0 for none."""
+        highest, farthest = item.parameters[2:4]
+        if highest and self._at.home is not None:
+            self._check_height(number, item, highest - self._at.home.altitude)
+        if farthest:
+            self._limits.check_goal(f"{self._what}: item {number}", (farthest, 0.0, 0.0))
+
+    # -- steps --------------------------------------------------------------------------------------------
+
+    def _check_goal(
+        self, number: int, item: Item, extent: float = 0.0, *, sinks: bool = False, words: str = ""
+    ) -> None:
+        if not self._limits.bound_places:
+            return
+        height = 0.0
+        if self._limits.bounds_heights and self._at.kind != "rover":
+            known = self._above_home(item, item.z)
+            if known is None and not sinks:
+                raise self._wrong(number, item, "the height of this item is not known")
+            height = 0.0 if known is None else known
+        away = self._away(number, item)
+        if away is None and extent and self._limits.bounds_radius:
+            raise self._wrong(number, item, "it circles where it then is, which is not known")
+        north, east = away or (0.0, 0.0)
+        label = words or f"{self._what}: waypoint {number}"
+        self._limits.check_goal(label, (north, east, -height), extent if self._limits.bounds_radius else 0.0)
+
+    def _away(self, number: int, item: Item) -> tuple[float, float] | None:
+        """Metres north and east of home; None for the place where the vehicle then is."""
+        home = self._home
+        if not (item.above_home or item.above_sea or item.above_terrain):
+            raise self._wrong(number, item, f"the place of an item in frame {item.frame} is not known")
+        if HERE in (item.x, item.y) or (not self._at.px4 and not (item.x or item.y)):
+            return None
+        north, east, _ = home.to(Place(item.x / 1e7, item.y / 1e7, home.altitude))
+        return north, east
+
+    @property
+    def _home(self) -> Place:
+        if self._at.home is None:
+            raise self._error(
+                f"{self._what} needs to know where home is, and the vehicle has not told; call waitReady()"
+            )
+        return self._at.home
+
+    def _above_home(self, item: Item, height: float) -> float | None:
+        """A height in the frame of an item as metres above home; None when that is not known."""
+        if not math.isfinite(height):
+            return None
+        if item.above_home:
+            return height
+        return height - self._home.altitude if item.above_sea else None
+
+    def _check_height(self, number: int, item: Item, height: float | None) -> None:
+        if not self._limits.bounds_heights or self._at.kind == "rover":
+            return
+        if height is None:
+            raise self._wrong(number, item, "the height of this item is not known")
+        if not math.isnan(height):
+            self._limits.check_goal(f"{self._what}: item {number}", (0.0, 0.0, -height))
+
+    def _check_speed(self, number: int, item: Item, speed: float) -> None:
+        if not self._limits.bounds_speed:
+            return
+        if not speed >= 0.0:
+            raise self._wrong(number, item, f"{speed:g} is not known to be a speed inside the limit")
+        self._limits.check_speed(f"{self._what}: item {number}", speed)
+
+    def _circle(self, item: Item, radius: float) -> float:
+        """The radius that is flown around an item; a copter stays on the spot but for LOITER_TURNS."""
+        if self._at.kind == "copter" and item.command != dialect.MAV_CMD_NAV_LOITER_TURNS:
+            return 0.0
+        if self._at.kind == "rover" and item.command != dialect.MAV_CMD_NAV_LOITER_TURNS:
+            return 0.0
+        if radius and not math.isnan(radius):
+            return abs(radius)
+        return math.inf if self._at.loiter is None else self._at.loiter
+
+    # -- curves -------------------------------------------------------------------------------------------
+
+    def _position(self, item: Item) -> Vector:
+        """Of an item that has been checked to have one; without a height where none is limited."""
+        away = self._away(0, item)
+        height = self._above_home(item, item.z) or 0.0
+        north, east = away or (self._at.here or (0.0, 0.0, 0.0))[:2]
+        return (north, east, -height)
+
+    def _places(self) -> list[tuple[int, Vector]]:
+        """The items that are flown to, in their order."""
+        if self._path is None:
+            self._path = [
+                (number, self._position(item))
+                for number, item in enumerate(self._items)
+                if item.command in PLACED and _is_flown(item.command)
+            ]
+        return self._path
+
+    def _starts(self, number: int, item: Item) -> list[tuple[Vector, Vector | None]]:
+        """From where a curve may begin, with the place before that. Raises DeviceError when nobody knows."""
+        if not self._limits.bound_places:
+            return []
+        if has_command(self._items, *JUMPS):
+            raise self._wrong(number, item, "a curve in a mission that jumps may begin anywhere")
+        before = [place for index, place in self._places() if index < number]
+        starts: list[tuple[Vector, Vector | None]] = []
+        if before:
+            starts.append((before[-1], before[-2] if len(before) > 1 else self._at.here))
+        if self._at.here is not None:
+            starts.append((self._at.here, None))
+        elif self._at.begins_here:
+            raise self._wrong(number, item, "the vehicle has told no position, where its curve may begin")
+        return starts
+
+    def _after(self, number: int) -> Vector | None:
+        return next((place for index, place in self._places() if index > number), None)
+
+    def _wrong(self, number: int, item: Item, reason: str) -> DeviceError:
+        return self._error(f"{self._what}: item {number}, {command_name(item.command)}, refused: {reason}")

@@ -1,0 +1,67 @@
+"""The addresses of a host: literals as they are, names resolved anew each time they are asked for."""
+
+from __future__ import annotations
+
+import asyncio
+import ipaddress
+import socket
+from typing import Any
+
+from lfield.loop import Simulated
+
+#: An address as sockets have it: host and port, and with IPv6 a flow and a scope.
+Address = tuple[Any, ...]
+
+#: Seconds of silence after which the kernel probes the other end, between two probes, and how many of them;
+#: and milliseconds for which sent bytes may stay unacknowledged.
+_IDLE, _INTERVAL, _COUNT, _UNACKNOWLEDGED = 2, 1, 3, 5000
+
+
+def unbracketed(host: str) -> str:
+    """`::1` of `[::1]`."""
+    return host[1:-1] if host.startswith("[") and host.endswith("]") else host
+
+
+class Lookup:
+    """One host's addresses. One question at a time: a resolver that hangs takes no second thread."""
+
+    def __init__(self, host: str, port: int, kind: socket.SocketKind) -> None:
+        self.host, self._port, self._kind = unbracketed(host), port, kind
+        self._asking: asyncio.Future[Any] | None = None
+
+    @property
+    def is_literal(self) -> bool:
+        """Whether it is an address already."""
+        try:
+            ipaddress.ip_address(self.host.partition("%")[0])
+        except ValueError:
+            return False
+        return True
+
+    async def addresses(self, within: float) -> list[tuple[int, Address]]:
+        """Families and addresses, the preferred first. Raises OSError, a TimeoutError after `within` s."""
+        loop = asyncio.get_running_loop()
+        if isinstance(loop, Simulated):
+            return [(socket.AF_INET, (self.host, self._port))]
+        if self._asking is None or self._asking.done():
+            self._asking = asyncio.ensure_future(loop.getaddrinfo(self.host, self._port, type=self._kind))
+        asking = self._asking
+        await asyncio.wait([asking], timeout=within)
+        if not asking.done():
+            raise TimeoutError(f"its name was not resolved within {within:g} s")
+        self._asking = None
+        return list(dict.fromkeys((family, tuple(address)) for family, _, _, _, address in asking.result()))
+
+
+def keep_alive(connection: Any) -> None:
+    """Have the kernel end a TCP connection whose path is dead, within some 5 s; not a simulated one."""
+    if isinstance(asyncio.get_running_loop(), Simulated):
+        return
+    for option, value in (
+        (socket.TCP_KEEPIDLE, _IDLE),
+        (socket.TCP_KEEPINTVL, _INTERVAL),
+        (socket.TCP_KEEPCNT, _COUNT),
+        (socket.TCP_USER_TIMEOUT, _UNACKNOWLEDGED),
+    ):
+        connection.setsockopt(socket.IPPROTO_TCP, option, value)
+    connection.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)

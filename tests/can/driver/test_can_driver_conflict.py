@@ -1,0 +1,310 @@
+"""Two devices with one id are seen and named; a foreign frame, or a tool that reads, is no second one."""
+
+from __future__ import annotations
+
+import asyncio
+import random
+import re
+import struct
+
+import pytest
+from can_local_drive import LocalDrive
+from hypothesis import given
+from hypothesis import strategies as st
+
+from lfield.errors import DeviceError
+from lfield_can.bus.frames import Frame
+from lfield_can.protocols.conflict import ASKED, PROOF, RETURNS, Alternation, RollCall
+
+NODE = 5
+TWO = r"two devices answer to this node id \(5\)"
+
+
+class Wire:
+    """The bus of a bench with drives that all hear every frame, and frames that get lost."""
+
+    def __init__(self, bus, loss: float = 0.0, seed: int = 1) -> None:
+        self.bus, self.loss, self.dice = bus, loss, random.Random(seed)
+        self.drives: list[LocalDrive] = []
+        self.echoes = False
+        bus.device = self.on_frame
+
+    def on_frame(self, frame: Frame) -> None:
+        if self.echoes:
+            self.bus.say(frame.id, frame.data)
+        for drive in self.drives:
+            if self.dice.random() >= self.loss:
+                drive.on_frame(frame)
+
+    def say(self, identifier: int, data: bytes) -> None:
+        if identifier != 0x580 + NODE or self.dice.random() >= self.loss:
+            self.bus.say(identifier, data)
+
+    def join(self) -> LocalDrive:
+        """One more drive with power."""
+        drive = LocalDrive(NODE)
+        drive.bus = self
+        drive.attach()
+        self.bus.device = self.on_frame
+        self.drives.append(drive)
+        return drive
+
+    def restart(self, drive: LocalDrive) -> None:
+        drive.restart()
+        self.bus.device = self.on_frame
+
+    def read(self, index: int, subindex: int = 0) -> None:
+        """Another client reads an object."""
+        request = struct.pack("<BHBI", 0x40, index, subindex, 0)
+        self.bus.say(0x600 + NODE, request)
+        self.on_frame(Frame(0x600 + NODE, request))
+
+    @property
+    def device(self):
+        return self.bus.device
+
+    @device.setter
+    def device(self, handler) -> None:
+        pass
+
+
+@pytest.fixture
+def rig(bench, drive, bus):
+    def make(**given):
+        wire = Wire(bus, **given)
+
+        async def live() -> None:
+            wire.join()
+            await asyncio.Event().wait()
+
+        b = bench(drive()("virtual:test"), bus=bus, fakes=[live])
+        b.wire = wire
+        return b
+
+    return make
+
+
+def answer(index: int, subindex: int = 0, value: int = 7) -> bytes:
+    return struct.pack("<BHBI", 0x43, index, subindex, value)
+
+
+async def restarts(b, axis) -> None:
+    """The drive loses its power for a moment, and is set up again."""
+    before = sum("set up again" in note for note in b.notes)
+    b.wire.restart(b.wire.drives[0])
+    await b.until(lambda: sum("set up again" in note for note in b.notes) > before)
+    await axis.execute("enable", [])
+
+
+@pytest.mark.parametrize("foreign", [1, 20])
+def test_answers_that_nobody_here_asked_for_do_not_stop_any_set_up(rig, foreign):
+    b = rig()
+
+    async def mission(axis):
+        for _ in range(foreign):
+            b.bus.say(0x580 + NODE, answer(0x6041))
+            b.bus.say(0x580 + NODE, answer(0x1018, 1))
+        for _ in range(3):
+            await restarts(b, axis)
+
+    b.run(mission)
+    assert not any("two devices" in note for note in b.notes)
+
+
+def test_one_answer_too_many_within_a_set_up_is_no_second_device(rig):
+    b = rig()
+
+    async def mission(axis):
+        said = b.wire.say
+
+        def once_more(identifier, data):
+            said(identifier, data)
+            if identifier == 0x580 + NODE and data[1:3] == bytes([0x18, 0x10]):
+                b.wire.say = said
+                said(identifier, data[:4] + b"\1\2\3\4")
+
+        b.wire.say = once_more
+        await axis.open()
+
+    b.run(mission, opened=False)
+
+
+def test_a_tool_that_reads_the_same_objects_all_the_time_is_no_second_device(rig):
+    b = rig()
+
+    async def mission(axis):
+        async def poll() -> None:
+            while True:
+                for key in ((0x1018, 4), (0x1018, 1), (0x1000, 0), (0x6041, 0)):
+                    b.wire.read(*key)
+                    await asyncio.sleep(0.004)
+
+        polling = asyncio.ensure_future(poll())
+        await restarts(b, axis)
+        polling.cancel()
+
+    b.run(mission)
+    assert not any("two devices" in note for note in b.notes)
+
+
+def test_an_adapter_that_shows_its_own_frames_hides_no_device_and_makes_none(rig):
+    b = rig()
+    b.wire.echoes = True
+
+    async def mission(axis):
+        await restarts(b, axis)
+        b.wire.join()
+        await b.until(lambda: any("two devices" in note for note in b.notes))
+
+    b.run(mission)
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_lost_answers_hide_no_second_device(rig, seed):
+    b = rig(loss=0.25, seed=seed)
+
+    async def mission(axis):
+        b.wire.join()
+        told = ""
+        for _ in range(5):  # with so much lost a set-up may also fail for want of an answer
+            with pytest.raises(DeviceError) as error:
+                await axis.open()
+            told = error.value.reason
+            if error.value.kind != "DeviceTimeoutException":
+                break
+        assert re.search(TWO, told), told
+
+    b.run(mission, opened=False)
+
+
+def test_a_second_device_that_joins_later_is_named_and_nothing_moves(rig):
+    b = rig()
+
+    async def mission(axis):
+        await axis.execute("enable", [])
+        second = b.wire.join()
+        await b.until(lambda: any("two devices" in note for note in b.notes))
+        for call in (["enable"], ["moveTo", 1.0, 1.0], ["setVelocity", 1.0]):
+            with pytest.raises(DeviceError, match=f"{call[0]} refused: {TWO}"):
+                await axis.execute(call[0], call[1:])
+        await asyncio.sleep(10.0)
+        assert sum("two devices" in note for note in b.notes) == 1
+        second.silent = True
+        second.node.nmt.stop_heartbeat()
+        second.task.cancel()
+        b.wire.drives.remove(second)
+        await b.until(lambda: any("set up again" in note for note in b.notes))
+        await axis.execute("enable", [])
+
+    b.run(mission)
+
+
+def test_a_request_of_another_client_is_no_sign_of_life(rig):
+    b = rig()
+
+    async def mission(axis):
+        b.wire.drives[0].silent = True
+        for _ in range(100):
+            b.bus.say(0x600 + NODE, struct.pack("<BHBI", 0x40, 0x6041, 0, 0))
+            await asyncio.sleep(0.1)
+            if not b.values["online"]:
+                return
+        raise AssertionError("it counts as heard")
+
+    b.run(mission)
+
+
+@given(st.lists(st.integers(0, 2), max_size=12), st.lists(st.sampled_from(ASKED), max_size=PROOF - 1))
+def test_a_roll_call_ends_and_single_frames_prove_nothing(lost, foreign):
+    """An answer that was asked for again counts for its question."""
+    roll_call, rounds = RollCall(), 0
+    for key in foreign:
+        roll_call.on_answer(key)
+    while (key := roll_call.next_key()) is not None:
+        times = 1 + (lost[rounds] if rounds < len(lost) else 0)
+        rounds += 1
+        for _ in range(times):
+            roll_call.on_request(key)
+        for _ in range(1 if times == 3 else times):
+            roll_call.on_answer(key)
+    assert rounds <= len(ASKED)
+    assert not roll_call.is_doubled
+
+
+# -- ODrive: no answers, but places that alternate ---------------------------------------------------------
+
+
+def estimate(bus, position: float, velocity: float = 0.0) -> None:
+    bus.say(3 << 5 | 0x09, struct.pack("<ff", position, velocity))
+
+
+@pytest.fixture
+def wheel(bench, odrive, bus):
+    """An axis that stands in closed loop once it is told so."""
+    state = [1]
+
+    def on_frame(frame: Frame) -> None:
+        if frame.id == 3 << 5 | 0x07:
+            state[0] = struct.unpack("<I", frame.data)[0]
+
+    async def live() -> None:
+        bus.device = on_frame
+        while True:
+            estimate(bus, 2.0)
+            bus.say(3 << 5 | 0x01, struct.pack("<IB3x", 0, state[0]))
+            await asyncio.sleep(0.01)
+
+    return bench(odrive()("virtual:test"), bus=bus, fakes=[live])
+
+
+def test_two_odrives_with_one_id_are_named_and_stopped(wheel):
+    async def mission(axis):
+        await axis.execute("enable", [])
+
+        async def other() -> None:
+            await asyncio.sleep(0.005)
+            while True:
+                estimate(wheel.bus, 7.0)
+                await asyncio.sleep(0.01)
+
+        second = asyncio.ensure_future(other())
+        await wheel.until(lambda: any("two axes have node id 3" in note for note in wheel.notes))
+        with pytest.raises(DeviceError, match="setVelocity refused: two axes have node id 3"):
+            await axis.execute("setVelocity", [1.0])
+        second.cancel()
+        await wheel.until(lambda: any("one device has its id again" in note for note in wheel.notes))
+        await axis.execute("setVelocity", [1.0])
+
+    wheel.run(mission)
+    assert sum("two axes" in note for note in wheel.notes) == 1
+
+
+def test_a_single_foreign_estimate_is_no_second_odrive(wheel):
+    async def mission(axis):
+        await axis.execute("enable", [])
+        for _ in range(5):
+            estimate(wheel.bus, 7.0)
+            await asyncio.sleep(0.5)
+        await axis.execute("setVelocity", [1.0])
+
+    wheel.run(mission)
+    assert not any("two axes" in note for note in wheel.notes)
+
+
+@given(st.lists(st.floats(-50.0, 50.0), min_size=20, max_size=60), st.floats(0.001, 0.05))
+def test_no_motion_of_one_axis_is_two(speeds, period):
+    """Whatever its speeds: they are told with the positions."""
+    alternation, position = Alternation(), 0.0
+    for step, speed in enumerate(speeds):
+        position += speed * period
+        alternation.on_position(position, speed, step * period)
+        assert not alternation.is_proved(step * period)
+
+
+def test_two_places_prove_two_axes_when_they_come_often_enough():
+    fast, slow = Alternation(), Alternation()
+    for step in range(2 * RETURNS + 2):
+        fast.on_position(5.0 * (step % 2), 0.0, step * 0.005)
+        slow.on_position(5.0 * (step % 2), 0.0, step * 1.0)
+    assert fast.is_proved(step * 0.005)
+    assert not slow.is_proved(step * 1.0)

@@ -1,0 +1,88 @@
+"""A member of the team that sends without an end: guards keep time, a stop gets through, the log names it."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+pytestmark = pytest.mark.process
+
+PROGRAM = """
+resource Copter {
+    Mavlink fc;
+    init(string[] arg) {
+        fc.arm();
+        fc.takeoff(2.0);
+        write("flies\\n");
+        try { while (true) { sleep(0.2); fc.hold(); } }
+        catch (DeviceException held) { }
+    }
+}
+resource Post { init(string[] arg) { } portal greet() { write("greeted\\n"); } }
+coordinator Guest { init(string[] arg) { findPost("here").greet(); sleep(1000.0); } }
+"""
+DEPLOYMENT = "//Copter:lead@alpha\n//Post:here@alpha\n//Guest:tom@charlie\n//@bravo\n"
+#: Whose messages may come in a crowd, and whose are few and large.
+KINDS = ("pings", "records", "gossip", "rooms", "handshakes")
+
+
+class Flood:
+    """The process that floods; what it says as it comes."""
+
+    def __init__(self, popen: subprocess.Popen[str]) -> None:
+        self._popen = popen
+
+    def next(self, word: str) -> float:
+        """When it next says that, on the monotonic clock."""
+        assert self._popen.stdout is not None
+        for line in self._popen.stdout:
+            if line.startswith(word):
+                return float(line.split()[1])
+        raise AssertionError(f"it ended without {word}")
+
+
+@contextmanager
+def flooding(lfield, port: int, kind: str) -> Iterator[Flood]:
+    script = Path(__file__).with_name("flooding.py")
+    words = [sys.executable, str(script), str(port), str(lfield.keys.folder / "bravo"), "bravo", kind]
+    with subprocess.Popen(words, stdout=subprocess.PIPE, text=True, env=lfield.environment) as popen:
+        try:
+            yield Flood(popen)
+        finally:
+            popen.kill()
+
+
+@pytest.mark.few(1)
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_member_that_floods_keeps_nobody_out_and_is_named(lfield, alone, kind):
+    deployment = lfield.mission(PROGRAM, DEPLOYMENT)
+    maps = lfield.maps(["alpha", "bravo", "charlie"])
+    team = ("--deploy", deployment, *maps)
+    up = ("up", *team, "--sim", "--first-start", "--host")
+    alpha = lfield.start(*up, "alpha", env=alone)
+    alpha.wait_for("flies")
+    with flooding(lfield, int(maps[1].rpartition(":")[2]), kind) as flood:
+        linked = flood.next("linked")
+        lfield.start(*up, "charlie", env=alone)
+        alpha.wait_for("greeted")
+        alpha.wait_for(
+            r"host bravo at 127\.0\.0\.1 sends too much: .* the link is closed, and bravo is accept"
+        )
+        if kind != "handshakes":
+            assert flood.next("closed") - linked >= 5.0
+        flood.next("refused")
+        flood.next("linked")
+        began = time.monotonic()
+        pressed = lfield("estop", *team, "--no-wait", env=alone)
+        took = time.monotonic() - began
+        assert "alpha: lead.fc: safe" in pressed.out, pressed.said
+        shown = json.loads("\n".join(lfield("ps", *team, "--json", env=alone).out))
+    print(f"{kind}: beats were late by {shown['alpha']['late']} s at most, a stop took {took:.2f} s")
+    assert "the host was silent" not in alpha.said

@@ -1,0 +1,57 @@
+"""Program output on a terminal: control characters are shown as escapes; elsewhere it goes out unchanged."""
+
+from __future__ import annotations
+
+import os
+import pty
+import subprocess
+import sys
+
+import pytest
+
+pytestmark = pytest.mark.process
+
+PROGRAM = r"""
+resource Painter {
+    init(string[] arg) {
+        write("\u{1b}[31mred\u{9b}2J\u{202e}\r");
+        write("\n");
+        print("\u{1b}[32mgreen");
+    }
+}
+coordinator Boss { init(string[] arg) { sleep(0.1); } }
+"""
+DEPLOYMENT = "//Painter:painter@alpha\n//Boss:boss@alpha\n"
+SHOWN = r"\u{1b}[31mred\u{9b}2J\u{202e}\r"
+
+
+def on_a_terminal(lfield, *words: object) -> tuple[bytes, int]:
+    """What a command puts out on a terminal that is its stdout, and its status; stderr is a file."""
+    terminal, end = pty.openpty()
+    command = [sys.executable, "-P", "-m", "lfield", *map(str, words)]
+    process = subprocess.Popen(
+        command, stdout=end, stderr=subprocess.DEVNULL, cwd=lfield.folder, env=lfield.environment
+    )
+    os.close(end)
+    out = b""
+    try:
+        while data := os.read(terminal, 1 << 16):
+            out += data
+    except OSError:  # Linux: the other end was closed.
+        pass
+    os.close(terminal)
+    return out, process.wait(60)
+
+
+@pytest.mark.parametrize("options", [("--all",), ("--host", "alpha")])
+def test_a_program_cannot_control_the_terminal(lfield, options):
+    deployment = lfield.mission(PROGRAM, DEPLOYMENT)
+    words = ("up", "--deploy", deployment, *options, "--until-done")
+    out, status = on_a_terminal(lfield, *words)
+    assert status == 0, out
+    assert SHOWN in out.decode()
+    assert not any(byte < 32 and byte not in b"\r\n\t" for byte in out)
+    assert "\u009b" not in out.decode()
+    piped = lfield(*words)
+    assert lfield.status(piped) == 0, piped.said
+    assert "\x1b[31mred\x9b2J\u202e" in "\n".join(piped.out)

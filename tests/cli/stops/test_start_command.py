@@ -1,0 +1,89 @@
+"""`lfield start`, and what commands say of a start that waits: for a robot that is off, or out of date."""
+
+import json
+import re
+
+import pytest
+
+pytestmark = pytest.mark.process
+
+PROGRAM = """
+resource Echo {
+    init(string[] arg) { }
+    portal say() { write("here\\n"); }
+}
+coordinator Caller {
+    init(string[] arg) {
+        print("begins");
+        while (true) {
+            try { findEcho("echo").say(); return; }
+            catch (UnreachableResourceException e) { sleep(1.0); }
+        }
+    }
+}
+"""
+TEAM = "//Caller:tom@alpha\n//Echo:echo@bravo\n"
+
+
+@pytest.fixture
+def maps(lfield, here):
+    """Where the hosts of a signed bundle are."""
+    lfield.mission(PROGRAM, TEAM)
+    assert here("build", "mission.dL").status == 0
+    assert here("sign", "mission.lfm").status == 0
+    return lfield.maps(["alpha", "bravo"])
+
+
+def test_a_start_waits_until_a_person_wants_it_without_the_host_that_is_off(lfield, here, maps) -> None:
+    alpha = lfield.start("up", "mission.lfm", *maps, "--host", "alpha", "--first-start")
+    alpha.wait_for(r"^tom is not started: waiting for bravo \(it has not been linked yet\)")
+    shown = here("ps", "mission.lfm", *maps)
+    assert shown.status == 69
+    assert any(re.search(r"alpha +tom +waits for bravo to start", line) for line in shown.out)
+    assert any("alpha: tom is not started: waiting for bravo" in line for line in shown.out)
+    told = json.loads("\n".join(here("ps", "mission.lfm", *maps, "--json").out))["alpha"]
+    assert told["start"] == {"agents": ["tom"], "hosts": ["bravo"], "without": [], "held": ""}
+    assert told["refused"] == []
+
+    waits = here("start", "mission.lfm", *maps)
+    assert waits.status == 1
+    assert any("alpha: tom is not started: waiting for bravo" in line for line in waits.err)
+    wrong = here("start", "mission.lfm", *maps, "--without", "brovo")
+    assert wrong.status == 64
+    assert "the mission has no host 'brovo': did you mean 'bravo'?" in wrong.err[0]
+    begun = here("start", "mission.lfm", *maps, "--without", "bravo")
+    assert (begun.status, begun.out) == (0, ["alpha: tom started"])
+    alpha.wait_for("^tom: begins$")
+    assert here("start", "mission.lfm", *maps, "--without", "bravo").out == [
+        "alpha: no coordinator waits to be started"
+    ]
+    # The host that was left out comes later, and joins.
+    bravo = lfield.start("up", "mission.lfm", *maps, "--host", "bravo", "--first-start")
+    bravo.wait_for("^here$")
+
+
+def test_a_host_with_an_old_bundle_is_named_by_the_digests_that_build_sign_and_inspect_print(
+    lfield, here, maps
+) -> None:
+    (old,) = (re.search(r"bundle (\w+)", line)[1] for line in here("inspect", "mission.lfm").out[:1])
+    bravo = lfield.start("up", "mission.lfm", *maps, "--host", "bravo", "--first-start")
+    bravo.wait_for("bravo is up")
+    lfield.mission(PROGRAM.replace("here", "there"), TEAM)
+    built, signed = here("build", "mission.dL"), here("sign", "mission.lfm")
+    (new,) = {re.search(r"bundle (\w+)", said.err[0])[1] for said in (built, signed)}
+    assert new != old
+    alpha = lfield.start("up", "mission.lfm", *maps, "--host", "alpha", "--first-start")
+    why = f"alpha runs bundle {new} and bravo runs bundle {old}, which differ in their program"
+    also = f"bravo runs bundle {old} and alpha runs bundle {new}, which differ in their program"
+    alpha.wait_for(rf"^tom is not started: waiting for bravo \(refused: ({why}|{also})")
+    bravo.wait_for(f"{why}|{also}")
+    shown = here("ps", "mission.lfm", *maps).out
+    assert any(re.match(f"alpha refuses bravo: ({why}|{also})", line) for line in shown), shown
+    assert {line.split(",")[0] for line in shown if line.startswith("bundle ")} == {
+        f"bundle {new}",
+        f"bundle {old}",
+    }
+    told = json.loads("\n".join(here("ps", "mission.lfm", *maps, "--json").out))
+    assert [(one["host"], one["bundle"]) for one in told["alpha"]["refused"]] == [("bravo", old)]
+    assert [(one["host"], one["bundle"]) for one in told["bravo"]["refused"]] == [("alpha", new)]
+    assert alpha.said.count("tom: begins") == 0

@@ -1,0 +1,268 @@
+"""Adapters that return what is sent, and two servos with one id, on both protocols."""
+
+from __future__ import annotations
+
+import asyncio
+
+import pytest
+from dynamixel_bench import START, Bench, call
+from hypothesis import given
+from hypothesis import strategies as st
+
+from lfield.errors import DeviceError
+from lfield_dynamixel.bus.chain import FAST_AGAIN, Chain, Node
+from lfield_dynamixel.bus.packets import EchoFilter, Protocol1, Protocol2, Reader1, Status, harmless
+from lfield_sim.dynamixel.ax import make_servo
+from lfield_sim.dynamixel.model import model_named
+
+ECHO = "the adapter returns what is sent (echo); it is taken out"
+
+
+def bench(protocol: int, *ids: int, **more) -> Bench:
+    if protocol == 2:
+        return Bench(*ids, **more)
+    return Bench(*ids, fake="AX-12A", protocol=1, waivers=["device_watchdog"], **more)
+
+
+def twin(b: Bench, number: int, *, delay: int | None = None, angle: float = 0.3) -> None:
+    """Another servo with an id that is there already."""
+    first = b.servos[number]
+    servo = make_servo(model_named(first.model.name), START)
+    for name in ("id", "baud_rate"):
+        servo.table.put(name, first.table[name])
+    if delay is not None:
+        servo.table.put("return_delay_time", delay)
+    servo.motion.motor.angle += angle
+    b.chain.servos.append(servo)
+    b.chain._names[id(servo)] = str(number)
+
+
+@pytest.mark.parametrize("ids", [(1,), (1, 2, 3)])
+@pytest.mark.parametrize("protocol", [1, 2])
+def test_an_adapter_with_an_echo_is_used_as_one_without(protocol, ids):
+    b = bench(protocol, *ids, limits={"speed": 2.0})
+    b.fault("echo=true")
+
+    async def story(device):
+        await call(device, "torque", True)
+        goal = [0.5 + 0.1 * number for number in ids]
+        await call(device, "moveTo", goal if len(ids) > 1 else goal[0])
+        seen = b.values["positions"] if len(ids) > 1 else [b.values["position"]]
+        assert seen == pytest.approx(goal, abs=0.02)
+        await device.make_safe()
+        await call(device, "torque", False)
+        await asyncio.sleep(2.0)
+        assert b.values["torqueOn"] is False
+
+    b.run(story)
+    assert b.notes.count(ECHO) == 1
+    assert not any("does not answer" in note for note in b.notes)
+
+
+@pytest.mark.parametrize("protocol", [1, 2])
+def test_without_an_echo_nothing_is_said_of_it(protocol):
+    b = bench(protocol, 1)
+
+    async def story(servo):
+        await call(servo, "torque", True)
+
+    b.run(story)
+    assert ECHO not in b.notes
+
+
+@pytest.mark.parametrize("protocol", [1, 2])
+def test_an_echo_is_no_servo(protocol):
+    b = bench(protocol, 1)
+    b.fault("echo=true", "dead@1=true")
+
+    async def story(servo):
+        with pytest.raises(DeviceError, match="does not answer"):
+            await servo.open()
+
+    b.run(story, opened=False)
+
+
+@pytest.mark.parametrize("protocol", [1, 2])
+def test_a_servo_that_dies_behind_an_echo_is_missed_and_found(protocol):
+    b = bench(protocol, 1)
+    b.fault("echo=true")
+
+    async def story(servo):
+        b.fault("dead@1=true")
+        await b.until(lambda: any("does not answer any more" in note for note in b.notes))
+        b.fault("dead@1=false")
+        await b.until(lambda: any("answers again" in note for note in b.notes))
+
+    b.run(story)
+
+
+@pytest.mark.parametrize("first", [False, True])
+def test_another_adapter_may_come_back(first):
+    b = bench(1, 1)
+    b.fault(f"echo={str(first).lower()}")
+
+    async def story(servo):
+        b.port.unplug()
+        await asyncio.sleep(0.5)
+        b.fault(f"echo={str(not first).lower()}")
+        b.port.plug()
+        await asyncio.sleep(1.0)
+        await call(servo, "torque", True)
+        await call(servo, "moveTo", 0.4)
+
+    b.run(story)
+    assert b.notes.count(ECHO) == 1
+
+
+def test_lost_and_damaged_answers_behind_an_echo():
+    b = bench(1, 1, 2)
+    b.fault("echo=true", "lose=0.05", "corrupt=0.05", "noise=0.05")
+
+    async def story(group):
+        await call(group, "torque", True)
+        await call(group, "setProfile", 2.0, 0.0)
+        await call(group, "moveTo", [0.6, 0.6])
+        assert b.values["positions"] == pytest.approx([0.6, 0.6], abs=0.03)
+
+    b.run(story)
+
+
+def test_an_instruction_of_protocol_1_is_an_answer_byte_for_byte():
+    """Why the echo must be known before anybody is asked: a ping is an answer with a voltage error."""
+    (status,) = Reader1().feed(Protocol1.encode(1, 1))
+    assert (status.number, status.error, status.data) == (1, 1, b"")
+
+
+def test_a_servo_whose_answer_is_its_ping_is_heard():
+    b = bench(1, 1)
+    b.fault("sag=8.0")
+
+    async def story(servo):
+        b.chain.receive(b"", asyncio.get_running_loop().time())
+        await asyncio.sleep(1.0)
+        assert "AX-12A 1" in await servo.open()
+        assert "voltage" in b.values["fault"]
+
+    b.run(story, opened=False)
+
+
+@given(
+    st.lists(st.binary(min_size=1, max_size=12), max_size=6),
+    st.lists(st.binary(max_size=12), max_size=6),
+    st.data(),
+)
+def test_what_is_sent_is_taken_out_however_it_comes(sent, answers, data):
+    """Echoes in order, each answer after the echo of its packet, cut anywhere."""
+    echo, stream = EchoFilter(), b""
+    for at, packet in enumerate(sent):
+        answer = answers[at] if at < len(answers) else b""
+        whole, passed = packet + answer, b""
+        echo.on_sent(packet)
+        while whole:
+            size = data.draw(st.integers(1, len(whole)))
+            passed += echo.strip(whole[:size])
+            whole = whole[size:]
+        assert passed == answer
+        stream += passed
+
+
+@pytest.mark.parametrize("codec", [Protocol1, Protocol2])
+def test_what_looks_for_the_echo_does_nothing(codec):
+    b = bench(codec.version, 1)
+    before = dict(b.servos[1].table._values)
+    assert b.chain.receive(harmless(codec), START, 1_000_000) == []
+    assert b.servos[1].table._values == before
+
+
+# -- two servos with one id --------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("protocol", [1, 2])
+@pytest.mark.parametrize(
+    ("delay", "words"), [(254, "two servos answer to the id 1"), (None, "come damaged: look whether two")]
+)
+def test_two_servos_with_one_id_are_named(protocol, delay, words):
+    b = bench(protocol, 1)
+    b.servos[1].table.put("return_delay_time", 0 if delay else b.servos[1].table["return_delay_time"])
+    twin(b, 1, delay=delay)
+
+    async def story(servo):
+        with pytest.raises(DeviceError, match=words):
+            await servo.open()
+
+    b.run(story, opened=False)
+
+
+def test_a_second_servo_that_joins_is_named_and_nothing_moves():
+    b = bench(2, 1)
+    b.servos[1].table.put("return_delay_time", 0)
+
+    async def story(servo):
+        await call(servo, "torque", True)
+        b.fault("dead@1=true")
+        await b.until(lambda: any("does not answer any more" in note for note in b.notes))
+        twin(b, 1, delay=254)
+        b.fault("dead@1=false")
+        await b.until(lambda: any("two servos answer to the id 1" in note for note in b.notes))
+        with pytest.raises(DeviceError, match="two servos answer to the id 1"):
+            await call(servo, "moveTo", 0.5)
+        await asyncio.sleep(5.0)
+        b.chain.servos.pop()
+        await b.until(lambda: any("answers again" in note for note in b.notes))
+        await call(servo, "torque", True)
+        await call(servo, "moveTo", 0.5)
+
+    b.run(story)
+    assert sum("two servos" in note for note in b.notes) == 1
+
+
+@pytest.mark.parametrize("protocol", [1, 2])
+def test_lost_late_and_damaged_answers_are_no_second_servo(protocol):
+    b = bench(protocol, 1)
+    b.fault("lose=0.1", "corrupt=0.1", "noise=0.1", "delay=0.01")
+
+    async def story(servo):
+        await servo.open()
+        await asyncio.sleep(20.0)
+
+    b.run(story, opened=False)
+    assert not any("id" in note for note in b.notes)
+
+
+class DeafToFast:
+    """A bus whose servos answer plain sync reads, and fast ones once that is said."""
+
+    gone = ""
+
+    def __init__(self) -> None:
+        self.knows_fast, self.kinds = False, []
+
+    async def exchange(self, protocol, packet, numbers, size, *, urgency):
+        fast = packet[7] == 0x8A
+        self.kinds.append(fast)
+        if not fast:
+            return [Status(number, 0, bytes(size)) for number in numbers]
+        if not self.knows_fast:
+            return []
+        part = b"".join(bytes((0, number)) + bytes(4 + 2) for number in (1, 2))
+        return [Status(0xFE, 0, part[1:-2])]
+
+
+def test_fast_reads_that_failed_are_tried_again():
+    bus, nodes = DeafToFast(), [Node(1), Node(2)]
+    chain = Chain(bus)
+
+    async def read(times: int) -> list[bool]:
+        for _ in range(times):
+            bus.kinds.clear()
+            await chain.sync_read(nodes, 132, 4)
+        return bus.kinds
+
+    async def story():
+        assert await read(10) == [False]
+        bus.knows_fast = True
+        await read(FAST_AGAIN)
+        assert await read(1) == [True]
+        assert await read(10) == [True]
+
+    asyncio.run(story())

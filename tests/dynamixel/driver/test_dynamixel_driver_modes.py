@@ -1,0 +1,226 @@
+"""Drive mode (address 10): each value as the manual has it, in the fake and through the driver."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+
+import pytest
+from dynamixel_bench import Bench, call
+
+from lfield.errors import DeviceError
+from lfield_sim.dynamixel.model import DRIVE_MODES, DUAL_DRIVE_MODES
+from lfield_sim.dynamixel.motion import COUNTS
+
+REVERSE, SLAVE, TIME_BASED, TORQUE_BY_GOAL = 1, 2, 4, 8
+
+
+def in_mode(drive_mode: int, model: str = "XM430-W350", **more) -> Bench:
+    bench = Bench(fake=model, **more)
+    servo = bench.servos[1]
+    servo.write(servo.model.items["drive_mode"].address, bytes([drive_mode]))
+    return bench
+
+
+def way(drive_mode: int) -> int:
+    return -1 if drive_mode & REVERSE else 1
+
+
+@pytest.mark.parametrize("drive_mode", DRIVE_MODES)
+def test_a_travel_takes_its_time_and_turns_its_way(drive_mode):
+    bench = in_mode(drive_mode, limits={"speed": 0.5})
+    motor = bench.servos[1].motion.motor
+    begun = motor.angle
+
+    async def story(servo):
+        assert bench.values["position"] == pytest.approx(0.0, abs=0.002)
+        await call(servo, "torque", True)
+        start, fastest = asyncio.get_running_loop().time(), 0.0
+        moving = asyncio.ensure_future(call(servo, "moveTo", 1.0))
+        while not moving.done():
+            await asyncio.sleep(0.02)
+            fastest = max(fastest, abs(motor.speed))
+        await moving
+        assert asyncio.get_running_loop().time() - start == pytest.approx(2.1, abs=0.2)
+        assert fastest < 0.56
+        assert bench.values["position"] == pytest.approx(1.0, abs=0.02)
+        assert motor.angle - begun == pytest.approx(way(drive_mode), abs=0.02)
+        await call(servo, "moveTo", -1.0)
+        assert motor.angle - begun == pytest.approx(-way(drive_mode), abs=0.02)
+
+    bench.run(story)
+
+
+@pytest.mark.parametrize("drive_mode", DRIVE_MODES)
+def test_velocity_and_current_turn_the_same_way(drive_mode):
+    bench = in_mode(drive_mode, ttl=2.0)
+    motor = bench.servos[1].motion.motor
+
+    async def story(servo):
+        await call(servo, "torque", True)
+        for mode, instruction, value in (("velocity", "setVelocity", 1.0), ("current", "setCurrent", 0.3)):
+            await call(servo, "mode", mode)
+            await call(servo, instruction, value)
+            await asyncio.sleep(0.3)
+            assert motor.speed * way(drive_mode) > 0.3
+            assert bench.values["velocity"] > 0.3
+            await call(servo, "torque", False)
+            await asyncio.sleep(0.5)
+            await call(servo, "torque", True)
+
+    bench.run(story)
+
+
+@pytest.mark.parametrize("drive_mode", [0, REVERSE])
+def test_the_sign_of_the_homing_offset_is_not_turned(drive_mode):
+    bench = in_mode(drive_mode)
+
+    async def story(servo):
+        await call(servo, "calibrate", 0.5)
+        assert bench.servos[1].table["homing_offset"] == pytest.approx(0.5 * COUNTS, abs=1)
+        assert (await servo.servo.present()).position == pytest.approx(0.5, abs=0.002)
+        await call(servo, "torque", True)
+        await call(servo, "moveTo", 0.0)
+
+    bench.run(story)
+
+
+@pytest.mark.parametrize("drive_mode", [0, REVERSE])
+def test_limits_are_in_the_direction_of_the_servo(drive_mode):
+    bench = in_mode(drive_mode)
+    motor = bench.servos[1].motion.motor
+    begun = motor.angle
+
+    async def story(servo):
+        await call(servo, "setRange", 0.0, 1.0)
+        await call(servo, "torque", True)
+        with pytest.raises(DeviceError, match=r"only goes from 0\.000 to"):
+            await call(servo, "moveTo", -0.5)
+        await call(servo, "moveTo", 1.0)
+        assert (motor.angle - begun) * way(drive_mode) == pytest.approx(1.0, abs=0.02)
+
+    bench.run(story)
+
+
+@pytest.mark.parametrize("drive_mode", [0, REVERSE])
+def test_a_servo_that_starts_is_within_one_turn(drive_mode):
+    bench = in_mode(drive_mode)
+    servo = bench.servos[1]
+    for angle in (0.0, 0.1, 3.0, 6.2, 7.0, -1.0):
+        servo.motion.motor.angle = angle
+        servo.reboot()
+        place = int.from_bytes(servo.read(132, 4), "little", signed=True)
+        assert 0 <= place <= 4096
+        assert math.cos(place / COUNTS) == pytest.approx(math.cos(angle), abs=0.01)
+        assert math.sin(place / COUNTS) * way(drive_mode) == pytest.approx(math.sin(angle), abs=0.01)
+
+
+@pytest.mark.parametrize("drive_mode", [0, REVERSE])
+def test_more_than_one_turn_in_extended_mode(drive_mode):
+    bench = in_mode(drive_mode, limits={"speed": 4.0}, lowest=-100.0, highest=100.0)
+    motor = bench.servos[1].motion.motor
+    begun = motor.angle
+
+    async def story(servo):
+        await call(servo, "mode", "extended")
+        await call(servo, "torque", True)
+        await call(servo, "moveTo", 9.0)
+        assert motor.angle - begun == pytest.approx(9.0 * way(drive_mode), abs=0.02)
+
+    bench.run(story)
+
+
+def test_a_way_that_is_longer_than_a_profile_is_refused_not_hurried():
+    bench = in_mode(TIME_BASED, limits={"speed": 0.2}, lowest=-100.0, highest=100.0)
+
+    async def story(servo):
+        await call(servo, "mode", "extended")
+        await call(servo, "torque", True)
+        with pytest.raises(DeviceError, match=r"takes 35\.0 s for this way at 0\.2 rad/s"):
+            await call(servo, "moveTo", 7.0)
+        await call(servo, "moveTo", 1.0)
+
+    bench.run(story)
+
+
+def test_a_limp_servo_that_any_goal_makes_stiff_is_left_limp():
+    bench = in_mode(TORQUE_BY_GOAL)
+
+    async def story(servo):
+        await call(servo, "torque", True)
+        bench.driver.quiet()
+        await asyncio.sleep(1.5)
+        bench.driver.resume()
+        await bench.until(lambda: any("stopped by its own watchdog" in note for note in bench.notes))
+        await call(servo, "torque", False)
+        await call(servo, "release")
+        await servo.make_safe()
+        await asyncio.sleep(1.0)
+        assert bench.servos[1].table["torque_enable"] == 0
+
+    bench.run(story)
+
+
+@pytest.mark.parametrize("drive_mode", [mode for mode in DUAL_DRIVE_MODES if mode & SLAVE])
+def test_a_slave_ignores_goals_and_is_refused(drive_mode):
+    bench = in_mode(drive_mode, "XM540-W270")
+    servo = bench.servos[1]
+    servo.write(64, b"\1")
+    servo.write(116, (3000).to_bytes(4, "little"))
+    begun = servo.motion.motor.angle
+
+    async def story(device):
+        await call(device, "torque", True)
+        with pytest.raises(
+            DeviceError, match=r"moveTo refused: servo 1 is a slave \(bit 1 of its drive mode\)"
+        ):
+            await call(device, "moveTo", 0.5)
+        assert servo.motion.motor.angle == begun
+
+    bench.run(story)
+
+
+def test_others_have_no_slaves():
+    servo = Bench(fake="XM430-W350").servos[1]
+    for drive_mode in range(16):
+        if drive_mode in DRIVE_MODES:
+            servo.write(10, bytes([drive_mode]))
+        else:
+            with pytest.raises(Exception, match="RANGE"):
+                servo.write(10, bytes([drive_mode]))
+
+
+@pytest.mark.parametrize("drive_mode", [0, TIME_BASED])
+def test_no_goal_is_above_the_limit_by_rounding(drive_mode):
+    for limit in (0.3, 0.5, 1.0, 1.5):
+        bench = in_mode(drive_mode, limits={"speed": limit}, ttl=2.0)
+
+        async def story(servo, bench=bench, limit=limit):
+            await call(servo, "torque", True)
+            await call(servo, "setPosition", 0.5)
+            profile = bench.servos[1].table["profile_velocity"]
+            speed = 0.5 / profile * 1000.0 if drive_mode else profile * servo.servo.model.velocity
+            assert 0.9 * limit < speed <= limit * 1.01 if drive_mode else speed <= limit
+            await call(servo, "mode", "velocity")
+            await call(servo, "setVelocity", -limit)
+            goal = bench.servos[1].table["goal_velocity"] * servo.servo.model.velocity
+            assert -limit <= goal < -0.9 * limit
+            await call(servo, "setVelocity", 0.1 + 0.2 if limit == 0.3 else limit)
+            with pytest.raises(DeviceError, match="above the limit"):
+                await call(servo, "setVelocity", limit * 1.001)
+
+        bench.run(story)
+
+
+def test_the_ends_of_a_range_are_legal_whatever_rounding_makes_of_them():
+    bench = in_mode(0, lowest=-0.3, highest=0.3)
+
+    async def story(servo):
+        await call(servo, "setRange", -math.pi, math.pi)
+        await call(servo, "torque", True)
+        await call(servo, "moveTo", 0.1 + 0.2)
+        await call(servo, "moveTo", -(0.1 + 0.2))
+        with pytest.raises(DeviceError, match="outside"):
+            await call(servo, "moveTo", 0.3001)
+
+    bench.run(story)

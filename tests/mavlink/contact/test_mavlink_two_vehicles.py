@@ -1,0 +1,275 @@
+"""Two vehicles with one system id, a vehicle whose address changes, and one that comes back as another."""
+
+from __future__ import annotations
+
+import asyncio
+
+import pytest
+
+from lfield.errors import DeviceError
+from lfield_mavlink.link.dialect import Reader, dialect
+from lfield_sim.autopilot.autopilot import FLAVOURS, Autopilot
+from lfield_sim.mavlink.protocol import STEP, MavlinkFake
+
+FIRST, SECOND = "10.0.0.5:14555", "10.0.0.6:14555"
+PORT = "udpin:0.0.0.0:14550"
+BOARD = 0x3F21
+
+
+class Twin:
+    """A second vehicle with the first one's system id, on a link of the bench, from when it is `there`."""
+
+    def __init__(self, bench, flavour="ardupilot", *, board=BOARD + 1, link=0, address=SECOND):
+        self.bench, self.link, self.address = bench, link, address
+        self.fake = MavlinkFake(Autopilot(FLAVOURS[flavour]["copter"], board=board), system=1)
+        self.there = True
+
+    async def live(self):
+        while True:
+            await asyncio.sleep(STEP)
+            link = self.bench.links[self.link]
+            for packet in self.fake.advance(STEP) if self.there else ():
+                link.sender(self.address)
+                link.on_data(packet)
+
+    def hears(self, data):
+        for packet in self.fake.receive("link", data) if self.there else ():
+            link = self.bench.links[self.link]
+            link.sender(self.address)
+            link.on_data(packet)
+
+
+def with_twin(bench, twin):
+    """The bench with both: each gets what is sent to its address, and what is sent to all."""
+    bench._fakes = [*bench._fakes, twin.live]
+
+    def passes(link, packet):
+        link.sender(FIRST if link.number == twin.link else "")
+        link.on_data(packet)
+
+    bench.filter = passes
+    return bench
+
+
+def commands(packets, number):
+    reader = Reader()
+    found = [message for data in packets for message in reader.feed(data)]
+    return [each for each in found if each.get_msgId() == 76 and each.command == number]
+
+
+BOTH = pytest.mark.parametrize("flavour", ["ardupilot", "px4"])
+
+
+@BOTH
+def test_two_vehicles_behind_one_port_are_not_armed_and_both_are_named(bench, flavour):
+    b = bench(flavour=flavour, endpoint=PORT, board=BOARD)
+    twin = Twin(b, flavour)
+    with_twin(b, twin)
+
+    async def mission(fc):
+        with pytest.raises(DeviceError, match="arm refused: two vehicles send as system 1") as error:
+            await fc.execute("arm", [])
+        assert FIRST in error.value.reason
+        assert SECOND in error.value.reason
+        assert FIRST in await fc.execute("whyNotReady", [])
+        assert not await fc.execute("isReady", [])
+        assert not commands(b.sent, dialect.MAV_CMD_COMPONENT_ARM_DISARM)
+        twin.there = False
+        await asyncio.sleep(6.0)
+        await fc.execute("waitReady", [30.0])
+        await fc.execute("arm", [])
+
+    b.run(mission)
+    assert sum(SECOND in note and "ignored" in note for note in b.notes) == 1
+
+
+def test_a_second_vehicle_is_noticed_also_by_who_arms_at_once(bench):
+    b = bench(endpoint=PORT, board=BOARD)
+    twin = Twin(b)
+    with_twin(b, twin)
+
+    async def mission(fc):
+        with pytest.raises(DeviceError, match="two vehicles send as system 1"):
+            await fc.execute("arm", [])
+
+    b.run(mission)
+
+
+@BOTH
+def test_in_flight_the_first_is_kept_and_the_other_ignored(bench, flavour):
+    b = bench(flavour=flavour, endpoint=PORT, board=BOARD)
+    twin = Twin(b, flavour)
+    twin.there = False
+    with_twin(b, twin)
+
+    async def mission(fc):
+        await fc.execute("arm", [])
+        await fc.execute("takeoff", [5.0])
+        twin.there = True
+        twin.fake.autopilot.vehicle.place = (700.0, 0.0, 0.0)
+        b.links[0].sent_to.clear()
+        await fc.execute("goTo", [20.0, 0.0, -5.0])
+        # The other one stands disarmed, far away: nothing of it is told.
+        assert b.values["armed"]
+        assert b.values["position"] == pytest.approx([20.0, 0.0, -5.0], abs=0.6)
+        await fc.execute("land", [])
+        assert {address for address, _ in b.links[0].sent_to} == {FIRST}
+
+    b.run(mission)
+    assert sum(SECOND in note and "ignored" in note for note in b.notes) == 1
+
+
+@pytest.mark.parametrize("same", [False, True])
+def test_over_two_links_the_boards_tell_one_vehicle_from_two(bench, same):
+    b = bench(links=2, board=BOARD)
+    twin = Twin(b, board=BOARD if same else BOARD + 1, link=1, address="")
+
+    def passes(link, packet):
+        if link.number == 0:
+            link.on_data(packet)
+
+    with_twin(b, twin)
+    b.filter = passes
+
+    async def mission(fc):
+        second = b.links[1]
+        send, second.send = second.send, lambda data: (send(data), twin.hears(data))
+        await asyncio.sleep(2.0)
+        if same:
+            await fc.execute("arm", [])
+            return
+        with pytest.raises(DeviceError, match="two vehicles send as system 1") as error:
+            await fc.execute("arm", [])
+        assert "udp:127.0.0.1:1 and udp:127.0.0.1:2" in error.value.reason
+
+    b.run(mission)
+
+
+def test_a_vehicle_whose_address_changes_flies_on(bench):
+    b = bench(endpoint=PORT, board=BOARD)
+    address = [FIRST]
+
+    def passes(link, packet):
+        link.sender(address[0])
+        link.on_data(packet)
+
+    b.filter = passes
+
+    async def mission(fc):
+        await fc.execute("arm", [])
+        await fc.execute("takeoff", [5.0])
+        flight = asyncio.ensure_future(fc.execute("goTo", [60.0, 0.0, -5.0]))
+        await asyncio.sleep(3.0)
+        address[0] = SECOND
+        await flight
+        assert {to for to, _ in b.links[0].sent_to[-3:]} == {SECOND}
+
+    b.run(mission)
+    assert any(note.startswith(f"heard from {PORT} from {SECOND}, no longer") for note in b.notes)
+    assert any("the same vehicle as before" in note for note in b.notes)
+    assert not any("two vehicles" in note for note in b.notes)
+
+
+def swapped(b, board):
+    """Pull the link for a while, and put another board behind it."""
+    b.cut = True
+    b.autopilot.board = board
+
+
+@pytest.mark.parametrize("board", [BOARD + 1, 0])
+@BOTH
+def test_another_vehicle_after_a_reconnection_gets_no_command(bench, flavour, board):
+    b = bench(flavour=flavour, board=BOARD)
+
+    async def mission(fc):
+        swapped(b, board)
+        await asyncio.sleep(5.0)
+        b.sent.clear()
+        b.cut = False
+        await b.until(lambda: fc.silence < 1.0)
+        for name, values in (("arm", []), ("setMode", [fc.profile.hold]), ("hold", []), ("land", [])):
+            with pytest.raises(DeviceError, match="another vehicle answers: its board is"):
+                await fc.execute(name, values)
+        with pytest.raises(DeviceError, match="another vehicle answers: its board is"):
+            await fc.make_safe()
+        assert not commands(b.sent, dialect.MAV_CMD_COMPONENT_ARM_DISARM)
+        assert not commands(b.sent, dialect.MAV_CMD_DO_SET_MODE)
+        await asyncio.sleep(3.0)
+        b.autopilot.board = BOARD
+        await b.until(lambda: any("the same vehicle as before" in note for note in b.notes))
+        await fc.execute("arm", [])
+
+    b.run(mission)
+    assert sum("another vehicle answers" in note for note in b.notes) == 1
+
+
+def test_a_board_without_an_id_is_compared_by_what_there_is(bench):
+    b = bench(board=0)
+
+    async def mission(fc):
+        swapped(b, 0)
+        await asyncio.sleep(5.0)
+        b.cut = False
+        await asyncio.sleep(3.0)
+        await fc.execute("arm", [])
+
+    b.run(mission)
+    assert any("it tells no unique id (uid 0); its autopilot, type and firmware" in n for n in b.notes)
+
+
+def test_a_vehicle_that_does_not_tell_its_board_after_a_reconnection_gets_no_command(bench):
+    b = bench(board=BOARD)
+
+    def mute(link, packet):
+        if not any(m.get_type() == "AUTOPILOT_VERSION" for m in Reader().feed(packet)):
+            link.on_data(packet)
+
+    async def mission(fc):
+        b.cut = True
+        await asyncio.sleep(5.0)
+        b.filter, b.cut = mute, False
+        await b.until(lambda: fc.silence < 1.0)
+        with pytest.raises(DeviceError, match=r"has not told its unique id since .* s of silence") as error:
+            await fc.execute("arm", [])
+        assert error.value.kind == "DeviceTimeoutException"
+        assert not commands(b.sent, dialect.MAV_CMD_COMPONENT_ARM_DISARM)
+
+    b.run(mission)
+
+
+@pytest.mark.parametrize(("kind", "autopilot"), [(6, 8), (18, 8), (18, 3), (6, 3), (2, 8), (0, 8)])
+def test_heartbeats_of_what_is_no_autopilot_are_ignored_and_reported(bench, kind, autopilot):
+    b = bench(endpoint=PORT, board=BOARD)
+    station = dialect.MAVLink(None, srcSystem=1, srcComponent=1)
+
+    async def beats():
+        while True:
+            await asyncio.sleep(0.21)
+            b.links[0].sender(SECOND)
+            b.links[0].on_data(dialect.MAVLink_heartbeat_message(kind, autopilot, 0, 0, 4, 3).pack(station))
+            b.links[0].sender(FIRST)
+
+    b._fakes = [*b._fakes, beats]
+
+    async def mission(fc):
+        await fc.execute("arm", [])
+        await fc.execute("takeoff", [5.0])
+        assert b.values["armed"]
+        await fc.execute("land", [])
+
+    b.run(mission)
+    reports = [note for note in b.notes if "heartbeats of a" in note]
+    assert len(reports) == 1
+    assert f"MAV_TYPE {kind}, MAV_AUTOPILOT {autopilot}" in reports[0]
+    assert SECOND in reports[0]
+    assert "ignored" in reports[0]
+
+
+def test_a_port_where_only_a_station_sends_has_no_vehicle(bench):
+    b = bench(endpoint=PORT)
+    station = dialect.MAVLink(None, srcSystem=1, srcComponent=1)
+    b.filter = lambda link, packet: link.on_data(
+        dialect.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3).pack(station)
+    )
+    with pytest.raises(DeviceError, match=r"no heartbeat .*heard: system 1, component 1 \(gcs\)"):
+        b.run(lambda fc: asyncio.sleep(0.0))

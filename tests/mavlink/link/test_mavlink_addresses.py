@@ -1,0 +1,201 @@
+"""Which addresses one system id is heard from, and whether that is one vehicle: packets and times."""
+
+from __future__ import annotations
+
+import pytest
+
+from lfield_mavlink.link.dialect import dialect
+from lfield_mavlink.link.sources import ASKS, BACKWARDS, LASTS, LISTENS, MOST, Board, Source, Sources
+
+A, B = Source(0, "10.0.0.5:14555"), Source(0, "10.0.0.6:14555")
+CABLE, RADIO = Source(0), Source(1)
+LINKS = ["udpin:0.0.0.0:14550", "serial:/dev/ttyUSB0:57600"]
+
+
+def beat():
+    return dialect.MAVLink_heartbeat_message(2, 3, 129, 4, 4, 3)
+
+
+def attitude(booted):
+    return dialect.MAVLink_attitude_message(round(booted * 1000), 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+
+
+def version(uid=0, uid2=b"", firmware=7):
+    long = list(uid2.ljust(18, b"\0"))
+    zeros = [0] * 8
+    return dialect.MAVLink_autopilot_version_message(
+        0, firmware, 0, 0, 0, zeros, zeros, zeros, 0, 0, uid, long
+    )
+
+
+def run(sources, seconds, *senders, start=0.0, every=1.0):
+    """Heartbeats of each sender for so many seconds; which of them were believed last."""
+    believed = {}
+    for number in range(round(seconds / every) + 1):
+        for offset, sender in enumerate(senders):
+            now = start + number * every + 0.01 * offset
+            believed[sender] = sources.on_packet(sender, beat(), now)
+    return believed
+
+
+def test_two_addresses_that_both_keep_sending_are_two_vehicles():
+    s = Sources(1, LINKS[:1])
+    assert run(s, 3.0, A, B) == {A: True, B: False}
+    assert s.conflict(3.1) == (
+        "two vehicles send as system 1: udpin:0.0.0.0:14550 from 10.0.0.5:14555 and "
+        "udpin:0.0.0.0:14550 from 10.0.0.6:14555"
+    )
+    assert s.is_settled(3.1)
+    assert len(s.events) == 1
+    assert s.address(0) == A.address
+    run(s, 60.0, A, B, start=4.0)
+    assert len(s.events) == 1
+    # One of them goes: no conflict any more.
+    run(s, LASTS + 2.0, A, start=65.0)
+    assert s.conflict(65.0 + LASTS + 2.0) == ""
+
+
+def test_an_address_that_falls_silent_was_the_vehicle_s_own():
+    s = Sources(1, LINKS[:1])
+    run(s, 5.0, A)
+    assert run(s, 1.0, B, start=5.5) == {B: False}
+    assert s.conflict(6.6) == ""
+    assert not s.is_settled(6.6)
+    assert run(s, 4.0, B, start=7.5) == {B: True}
+    assert (s.moves, s.conflict(12.0), s.is_settled(12.0)) == (1, "", True)
+    assert s.events == [
+        "heard from udpin:0.0.0.0:14550 from 10.0.0.6:14555, no longer from "
+        "udpin:0.0.0.0:14550 from 10.0.0.5:14555"
+    ]
+    assert s.address(0) == B.address
+
+
+def test_packets_of_the_old_address_that_come_late_are_no_conflict():
+    s = Sources(1, LINKS[:1])
+    run(s, 5.0, A)
+    assert not s.on_packet(B, beat(), 5.2)
+    assert s.on_packet(A, attitude(5.0), 5.5)
+    run(s, 5.0, B, start=6.2)
+    assert s.events == [s.events[0]]
+    assert s.moves == 1
+
+
+def test_what_has_sent_no_heartbeat_is_no_vehicle():
+    s = Sources(1, LINKS[:1])
+    assert not s.on_packet(A, attitude(1.0), 0.0)
+    assert s.on_packet(A, beat(), 0.1)
+    assert s.on_packet(A, attitude(1.2), 0.2)
+
+
+def test_it_is_listened_for_longer_than_a_heartbeat_takes():
+    s = Sources(1, LINKS[:1])
+    s.on_packet(A, beat(), 0.0)
+    assert not s.is_settled(LISTENS - 0.01)
+    assert s.is_settled(LISTENS)
+    # A link with one far end brings no second address.
+    one = Sources(1, ["tcp:127.0.0.1:5760"])
+    one.on_packet(CABLE, beat(), 0.0)
+    assert one.is_settled(0.0)
+
+
+def two_links(first, second, clocks=(None, None)):
+    """What becomes of a vehicle that is heard over two links, by what AUTOPILOT_VERSION says on each."""
+    s = Sources(1, LINKS)
+    asked = 0
+    for number in range(20):
+        now = 0.5 * number
+        for source, message, clock in ((CABLE, first, clocks[0]), (RADIO, second, clocks[1])):
+            s.on_packet(source, beat(), now)
+            if clock is not None:
+                s.on_packet(source, attitude(now + clock), now)
+            if number == 2 and message is not None:
+                s.on_packet(source, message, now)
+        asked += len(s.due(now))
+    return s, asked
+
+
+SAME = version(uid2=b"abc")
+
+
+def test_one_vehicle_over_two_links_is_known_by_its_board():
+    s, asked = two_links(SAME, SAME)
+    assert s.accepts(CABLE)
+    assert s.accepts(RADIO)
+    assert (s.conflict(9.6), s.is_settled(9.6)) == ("", True)
+    assert 0 < asked <= ASKS
+
+
+@pytest.mark.parametrize(
+    ("first", "second"),
+    [
+        (SAME, version(uid2=b"abd")),
+        (version(uid=5, uid2=b"\2"), version(uid=5, uid2=b"\3")),
+        (version(uid=5), version(uid=6)),
+        (version(), version(uid=6)),
+        (version(firmware=7), version(firmware=8)),
+    ],
+)
+def test_two_vehicles_over_two_links_are_told_by_their_boards(first, second):
+    s, _ = two_links(first, second)
+    assert s.accepts(CABLE)
+    assert not s.accepts(RADIO)
+    assert s.conflict(9.6) == (
+        "two vehicles send as system 1: udpin:0.0.0.0:14550 and serial:/dev/ttyUSB0:57600"
+    )
+
+
+@pytest.mark.parametrize("told", [version(), None])
+@pytest.mark.parametrize(("clock", "same"), [(100.0, True), (101.0, True), (140.0, False), (None, True)])
+def test_boards_without_an_id_are_told_by_their_clocks(told, clock, same):
+    s, _ = two_links(told, told, (100.0, clock))
+    assert s.accepts(RADIO) is same
+    assert bool(s.conflict(9.6)) is not same
+
+
+def test_the_vehicle_over_the_other_link_is_kept_when_one_falls_silent():
+    s, _ = two_links(SAME, SAME)
+    assert run(s, 10.0, RADIO, start=10.0) == {RADIO: True}
+    # Its port is another by then: over that link the old address is silent, so it has moved.
+    moved = Source(0, "10.0.0.9:1")
+    run(s, 3.0, RADIO, moved, start=21.0)
+    assert s.due(24.5) == [moved]
+    s.on_packet(moved, SAME, 24.6)
+    assert s.on_packet(moved, beat(), 25.0)
+    assert s.address(0) == moved.address
+
+
+def test_two_vehicles_behind_one_address_are_told_by_their_clocks():
+    s = Sources(1, ["tcp:127.0.0.1:5760"])
+    s.on_packet(CABLE, beat(), 0.0)
+    for number in range(BACKWARDS + 1):
+        s.on_packet(CABLE, attitude(100.0 + number), 0.1 + number)
+        s.on_packet(CABLE, attitude(20.0 + number), 0.2 + number)
+    assert s.conflict(4.0) == "two vehicles send as system 1, both over tcp:127.0.0.1:5760"
+    assert s.conflict(10.0) == ""
+
+
+def test_a_restart_and_packets_that_overtake_are_no_second_vehicle():
+    s = Sources(1, ["tcp:127.0.0.1:5760"])
+    s.on_packet(CABLE, beat(), 0.0)
+    for now in range(20):
+        s.on_packet(CABLE, attitude(50.0 + now if now < 5 else now - 5.0), float(now))
+        s.on_packet(CABLE, attitude(max(50.0 + now if now < 5 else now - 5.5, 0.0)), float(now))
+        assert s.conflict(float(now)) == ""
+
+
+def test_any_number_of_addresses_takes_bounded_memory():
+    s = Sources(1, LINKS[:1])
+    run(s, 1.0, A)
+    for number in range(10 * MOST):
+        s.on_packet(Source(0, f"10.1.0.{number}:1"), beat(), 2.0)
+        s.on_packet(A, beat(), 2.0)
+    assert len(s._seen) <= MOST + 1
+    assert len(s._rivals) <= MOST + 1
+    assert s.accepts(A)
+
+
+def test_a_board_is_its_id_and_its_firmware():
+    assert Board.of(version()).uid == ""
+    assert Board.of(version(uid=0x3F)).uid == "-3f"
+    assert Board.of(version(uid2=b"\2", uid=0x3F)).uid == "02-3f"
+    assert Board.of(version(firmware=1)) != Board.of(version(firmware=2))

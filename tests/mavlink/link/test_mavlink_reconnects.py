@@ -1,0 +1,295 @@
+"""Every link works again by itself: after silence, another address behind its name, and over IPv6."""
+
+from __future__ import annotations
+
+import asyncio
+import socket
+from contextlib import asynccontextmanager
+
+import pytest
+
+from lfield.driver.network import Attempts, Lookup
+from lfield.driver.network.attempts import SAY_AGAIN
+from lfield_mavlink.link import tcp, udp
+from lfield_mavlink.link.events import LinkEvents
+from lfield_mavlink.link.links import make_link, parse_endpoint
+
+HOSTS = ["127.0.0.1", "[::1]"]
+
+
+@pytest.fixture(autouse=True)
+def soon(monkeypatch):
+    """Every wait of a link is a twentieth of what it is in the field."""
+    for module in (tcp, udp):
+        monkeypatch.setattr(module, "AGAIN", module.AGAIN / 20.0)
+        monkeypatch.setattr(module, "SILENT", module.SILENT / 20.0)
+
+
+async def until(condition):
+    async with asyncio.timeout(10):
+        while not condition():
+            await asyncio.sleep(0.005)
+
+
+class Story:
+    """A link with what it has said."""
+
+    def __init__(self):
+        self.got, self.notes, self.senders, self.reopened = bytearray(), [], [], 0
+
+    def link(self, endpoint):
+        events = LinkEvents(self.notes.append, self._reopened, self.senders.append)
+        return make_link(endpoint, self.got.extend, events)
+
+    def _reopened(self):
+        self.reopened += 1
+
+
+@asynccontextmanager
+async def tcp_server(host):
+    """Greets each client, and never hangs up."""
+    clients = []
+
+    async def serve(_, writer):
+        clients.append(writer)
+        writer.write(b"hello")
+
+    server = await asyncio.start_server(serve, host.strip("[]"), 0)
+    try:
+        yield clients, server.sockets[0].getsockname()[1]
+    finally:
+        server.close()
+        for writer in clients:
+            writer.close()
+
+
+@pytest.mark.parametrize("host", HOSTS)
+def test_a_tcp_connection_that_falls_silent_is_opened_again(host):
+    async def talk():
+        story = Story()
+        async with tcp_server(host) as (clients, port):
+            link = story.link(f"tcp:{host}:{port}")
+            await link.open()
+            # The first one says nothing any more and sends no FIN: as a path that is cut.
+            await until(lambda: len(clients) >= 2 and story.got.count(b"hello") >= 2)
+
+            def talks():
+                clients[-1].write(b"+")
+                return b"+" in story.got
+
+            await until(talks)
+            link.close()
+        assert f"tcp:{host}:{port} is lost: nothing came for 0.25 s" in story.notes
+        assert any(f"open again: connected to {host.strip('[]')}, after" in note for note in story.notes)
+        assert story.reopened >= 1
+
+    asyncio.run(talk())
+
+
+def resolving(monkeypatch, *answers):
+    """What `robot.local` is, time after time; the last for ever. An exception is raised."""
+    left = list(answers)
+
+    async def addresses(self, within):
+        answer = left.pop(0) if len(left) > 1 else left[0]
+        if isinstance(answer, Exception):
+            raise answer
+        family = socket.AF_INET6 if ":" in answer else socket.AF_INET
+        found = await asyncio.get_running_loop().getaddrinfo(
+            answer, self._port, type=self._kind, family=family
+        )
+        return [(found[0][0], tuple(found[0][4]))]
+
+    monkeypatch.setattr(Lookup, "addresses", addresses)
+
+
+@pytest.mark.parametrize("after", ["127.0.0.2", "::1"])
+def test_a_tcp_connection_follows_its_name(monkeypatch, after):
+    failure = socket.gaierror(-3, "Temporary failure in name resolution")
+    resolving(monkeypatch, "127.0.0.1", failure, after)
+
+    async def talk():
+        story = Story()
+        async with tcp_server("127.0.0.1") as (clients, port):
+            link = story.link(f"tcp:robot.local:{port}")
+            await link.open()
+            await until(lambda: b"hello" in story.got)
+            second = await asyncio.start_server(lambda _, w: w.write(b"there"), after, port)
+            clients[0].transport.abort()
+            await until(lambda: b"there" in story.got)
+            link.close()
+            second.close()
+        assert any("Temporary failure in name resolution (attempt 1)" in note for note in story.notes)
+        assert any(f"connected to {after}, after" in note for note in story.notes)
+
+    asyncio.run(talk())
+
+
+class Vehicle(asyncio.DatagramProtocol):
+    """Answers each datagram with its name."""
+
+    def __init__(self, name):
+        self.name, self.peers = name, []
+
+    def connection_made(self, transport):
+        self.transport = transport
+
+    def datagram_received(self, data, addr):
+        self.peers.append(addr)
+        self.transport.sendto(self.name, addr)
+
+
+async def vehicle(name, host, port=0):
+    _, made = await asyncio.get_running_loop().create_datagram_endpoint(
+        lambda: Vehicle(name), local_addr=(host.strip("[]"), port)
+    )
+    return made, made.transport.get_extra_info("sockname")[1]
+
+
+@pytest.mark.parametrize("host", HOSTS)
+def test_a_udp_link_is_opened_anew_when_it_falls_silent(host):
+    async def talk():
+        story = Story()
+        other, port = await vehicle(b"a", host)
+        link = story.link(f"udp:{host}:{port}")
+        await link.open()
+
+        def answers(number):
+            link.send(b"x")
+            return len(story.got) >= number
+
+        await until(lambda: answers(1))
+        # This computer's address may have changed: what is sent now comes from a socket of its own.
+        await until(lambda: any("open again: it sends to" in note for note in story.notes))
+        heard = len(story.got)
+        await until(lambda: answers(heard + 1))
+        assert other.peers[0] != other.peers[-1]
+        link.close()
+        other.transport.close()
+
+    asyncio.run(talk())
+
+
+def test_a_udp_link_follows_its_name(monkeypatch):
+    resolving(monkeypatch, "127.0.0.1", "127.0.0.2")
+
+    async def talk():
+        story = Story()
+        first, port = await vehicle(b"a", "127.0.0.1")
+        second, _ = await vehicle(b"b", "127.0.0.2", port)
+        link = story.link(f"udp:robot.local:{port}")
+        await link.open()
+
+        def comes(name):
+            link.send(b"x")
+            return name in story.got
+
+        await until(lambda: comes(b"a"))
+        first.transport.close()
+        await until(lambda: comes(b"b"))
+        assert f"udp:robot.local:{port} is lost: nothing came for 0.15 s" in story.notes
+        link.close()
+        second.transport.close()
+
+    asyncio.run(talk())
+
+
+@pytest.mark.parametrize("host", HOSTS)
+def test_a_port_that_listens_tells_who_sends_and_answers_one(host):
+    async def talk():
+        story = Story()
+        bare = host.strip("[]")
+        family = socket.AF_INET6 if ":" in bare else socket.AF_INET
+        with socket.socket(family, socket.SOCK_DGRAM) as free:
+            free.bind((bare, 0))
+            port = free.getsockname()[1]
+        link = story.link(f"udpin:{host}:{port}")
+        await link.open()
+        ends = [await vehicle(name, host) for name in (b"a", b"b")]
+        for made, _ in ends:
+            made.transport.sendto(made.name, (bare, port))
+        await until(lambda: sorted(story.got) == sorted(b"ab"))
+        assert story.senders == [f"{host}:{number}" for _, number in ends]
+        link.send_to(b"!", f"{host}:{ends[1][1]}")
+        await until(lambda: ends[1][0].peers)
+        assert not ends[0][0].peers
+        link.close()
+        for made, _ in ends:
+            made.transport.close()
+
+    asyncio.run(talk())
+
+
+def test_a_port_that_listens_follows_the_name_of_this_computer(monkeypatch):
+    failure = OSError(99, "Cannot assign requested address")
+    resolving(monkeypatch, "127.0.0.1", failure, "127.0.0.2")
+
+    async def talk():
+        story = Story()
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
+            free.bind(("127.0.0.1", 0))
+            port = free.getsockname()[1]
+        link = story.link(f"udpin:robot.local:{port}")
+        await link.open()
+        made, _ = await vehicle(b"a", "127.0.0.2")
+
+        def comes():
+            made.transport.sendto(b"a", ("127.0.0.2", port))
+            return b"a" in story.got
+
+        await until(comes)
+        assert any("it listens at 127.0.0.2" in note for note in story.notes)
+        link.close()
+        made.transport.close()
+
+    asyncio.run(talk())
+
+
+@pytest.mark.parametrize(
+    ("text", "parts"),
+    [
+        ("tcp:[fd00::5]:5760", ("tcp", "fd00::5", 5760)),
+        ("udp:[fe80::1%eth0]:14550", ("udp", "fe80::1%eth0", 14550)),
+        ("udpin:[::]:14550", ("udpin", "::", 14550)),
+        ("udpin:::1:14550", ("udpin", "::1", 14550)),
+    ],
+)
+def test_addresses_of_ipv6_are_taken(text, parts):
+    assert parse_endpoint(text) == [parts]
+
+
+def test_a_name_that_is_not_resolved_is_asked_for_once_at_a_time(monkeypatch):
+    asked = []
+
+    async def talk():
+        loop = asyncio.get_running_loop()
+
+        async def hangs(*names, **_):
+            asked.append(names)
+            await asyncio.sleep(3600.0)
+
+        monkeypatch.setattr(loop, "getaddrinfo", hangs)
+        lookup = Lookup("robot.local", 5760, socket.SOCK_STREAM)
+        for _ in range(3):
+            with pytest.raises(TimeoutError, match="not resolved within"):
+                await lookup.addresses(0.01)
+        assert len(asked) == 1
+        assert not lookup.is_literal
+        assert Lookup("[fe80::1%eth0]", 1, socket.SOCK_STREAM).is_literal
+
+    asyncio.run(talk())
+
+
+def test_what_the_log_says_of_attempts_is_said_once_in_a_while():
+    tries = Attempts("tcp:10.0.0.5:5760")
+    assert tries.opened("10.0.0.5", 0.0) == ""
+    assert tries.lost("it hung up", 1.0).startswith("tcp:10.0.0.5:5760 is lost: it hung up")
+    lines = [tries.failed("No route to host", 2.0 + number) for number in range(60)]
+    assert lines[0] == "tcp:10.0.0.5:5760 is not open yet: No route to host (attempt 1)"
+    again = int(SAY_AGAIN)
+    assert [number for number, line in enumerate(lines) if line] == [0, again - 1, 2 * again - 1]
+    assert tries.failed("Connection refused", 62.0).endswith("(attempt 61)")
+    line = tries.opened("connected to 10.0.0.6", 63.0)
+    assert line == "tcp:10.0.0.5:5760 is open again: connected to 10.0.0.6, after 62 attempts and 62 s"
+    tries.works()
+    assert tries.lost("it hung up", 64.0) != ""

@@ -1,0 +1,67 @@
+"""Which hosts a new start does not wait for: from the devices file into the bundle."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from lfield.errors import BindingError, BundleError
+from lfield.mission import bundle
+from lfield.mission.bindings import MissionStart
+from lfield.mission.load import load_mission
+
+PROGRAM = """
+resource Post { init(string[] arg) { } portal say() { } }
+coordinator Boss { init(string[] arg) { findPost("p0").say(); } }
+"""
+
+
+def write(folder: Path, start: str = "") -> Path:
+    (folder / "m.L").write_text(PROGRAM)
+    (folder / "m.dL").write_text("//Post:p0@h0\n//Post:p1@h1\n//Boss:boss@h2\n//@h3\n")
+    if start:
+        (folder / "m.devices.yaml").write_text(f"start: {start}\n")
+    return folder / "m.dL"
+
+
+@pytest.mark.parametrize(
+    ("written", "told", "hint"),
+    [
+        ("{without: [h1, h7]}", "the deployment has no host 'h7'", "h0"),
+        ("{without: [h1, h1]}", "'h1' is named twice", "once is enough"),
+        ("{without: h1}", "'without' must be a list", ""),
+        ("{without: [2]}", "'without' must be a list of texts, not the number 2", ""),
+        ("{witout: [h1]}", "'start' takes no 'witout'", "without"),
+        ("[h1]", "'start' must be a mapping", ""),
+    ],
+)
+def test_what_makes_no_sense_is_drawn_at_its_place(
+    tmp_path: Path, written: str, told: str, hint: str
+) -> None:
+    with pytest.raises(BindingError) as caught:
+        load_mission(write(tmp_path, written))
+    (said,) = caught.value.problems
+    assert told in said
+    assert "m.devices.yaml:1:" in said
+    assert "error[Y11" in said
+    assert hint in said
+
+
+def test_a_bundle_has_it_and_it_is_a_part_of_the_digest(tmp_path: Path) -> None:
+    plain = load_mission(write(tmp_path))
+    mission = load_mission(write(tmp_path, "{without: [h1]}"))
+    data = bundle.encode(mission)
+    assert bundle.decode(data).bindings.start == MissionStart(("h1",))
+    assert bundle.contents(data).digest != bundle.contents(bundle.encode(plain)).digest
+    assert mission.on_fakes().bindings.start.without == ("h1",)
+    assert [host for host in mission.team.hosts if mission.has_resources(host)] == ["h0", "h1"]
+
+
+@pytest.mark.parametrize("without", [("h9",), ("h1", "h1")])
+def test_a_bundle_that_makes_no_sense_is_refused(tmp_path: Path, without: tuple[str, ...]) -> None:
+    mission = load_mission(write(tmp_path))
+    changed = mission.with_bindings(replace(mission.bindings, start=MissionStart(without)))
+    with pytest.raises(BundleError, match="the hosts that its start does not wait for"):
+        bundle.decode(bundle.encode(changed))

@@ -1,0 +1,75 @@
+"""The links of one host, as a process: `python peer.py HERE KEYS HOST=ADDRESS ...`.
+
+Prints `linked HOST` and `unlinked HOST` with the time, and what the log would say. Ends with its input.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import random
+import sys
+import time
+from collections.abc import Collection
+from pathlib import Path
+
+from lfield.authority import folder
+from lfield.clock import SystemClock
+from lfield.loop import run
+from lfield.net.peers import Peers
+from lfield.net.tcp import TcpTransport
+from lfield.net.tls import Tls
+from lfield.wire.messages import Control, Hello
+
+
+def say(text: str) -> None:
+    print(f"{time.monotonic():.3f} {text}", flush=True)
+
+
+class Owner:
+    """Wants links with all others, and has nothing to do with them."""
+
+    def __init__(self, name: str, others: Collection[str]) -> None:
+        self._name, self._others, self._life = name, others, random.getrandbits(62) + 1
+
+    def hello(self) -> Hello:
+        return Hello("host", self._name, self._life)
+
+    def linked(self, hello: Hello) -> None:
+        say(f"linked {hello.host}")
+
+    def unlinked(self, host: str, *, quietly: bool) -> None:
+        say(f"unlinked {host}")
+
+    def wanted(self) -> Collection[str]:
+        return self._others
+
+    def received(self, host: str, message: Control, link: object) -> None:
+        pass
+
+    def arrived(self, *_: object) -> None:
+        pass
+
+    too_large = arrived
+
+    def note(self, text: str) -> None:
+        say(f"note {text}")
+
+
+async def main(here: str, keys: str, *places: str) -> None:
+    """Keep the links until the input ends."""
+    addresses = dict(place.split("=", 1) for place in places)
+    names = list(addresses)
+    owner = Owner(here, [name for name in names if name != here])
+    transport = TcpTransport(1 << 20, Tls(folder.read(Path(keys) / here, "host")))
+    transport.note = owner.note
+    clock, dice = SystemClock(), random.Random()
+    peers = Peers(
+        owner, transport, clock, dice, names, list(addresses.values()), names.index(here), set(names) - {here}
+    )
+    say(f"listens {await peers.open(addresses[here])}")
+    await asyncio.get_running_loop().run_in_executor(None, sys.stdin.read)
+    peers.close()
+
+
+if __name__ == "__main__":
+    run(main(*sys.argv[1:]))

@@ -1,0 +1,205 @@
+"""Links of members: what one turn of the loop takes of them, who comes first, when a link is closed.
+
+The links are real ones. Between them are no sockets, and time jumps.
+"""
+
+from __future__ import annotations
+
+import asyncio
+
+import pytest
+from test_reception import FLOOD, Inn, run_tls
+
+from lfield.errors import OverBudget
+from lfield.net.stream import MEMBERS_PIECE
+from lfield.net.tls import Channel
+from lfield.net.waiting.rations import ALLOWANCE, OVER_FOR, RATION
+from lfield.net.waiting.reception import SLICE
+from lfield.testing.transport_kit import transfer
+from lfield.wire.codec import encode, encode_transfer
+from lfield.wire.messages import Hello, Ping, Room
+from lfield.wire.observing import EmergencyStop
+
+#: What a message costs a computer, in seconds, and many of them.
+COST = 1e-4
+PINGS = encode(Ping(1)) * 8000
+
+
+def member(inn: Inn, name: str, cost: float = COST):
+    """A host that has greeted, and for each of whose messages the computer works so long."""
+    made = inn.caller(name, host=True)
+    made.say(encode(Hello("host", name, 7)))
+    made.hears.works = lambda: setattr(inn, "work", inn.work + cost)
+    return made
+
+
+async def floods(inn: Inn, caller, seconds: float) -> None:
+    """Whenever the link is read there is more, for so long or until it is closed."""
+    end = inn.loop.time() + seconds
+    while inn.loop.time() < end and not caller.wire.closing:
+        if caller.wire.reads:
+            caller.say(PINGS)
+        await asyncio.sleep(0.001)
+
+
+def test_no_turn_of_the_loop_takes_messages_of_members_for_longer_than_a_slice():
+    async def story(inn):
+        bravo, charlie = member(inn, "bravo"), member(inn, "charlie")
+        before = inn.work
+        # Both in the same turn.
+        bravo.say(PINGS)
+        charlie.say(PINGS)
+        assert SLICE <= inn.work - before <= SLICE + COST
+        assert not bravo.wire.reads
+        assert not charlie.wire.reads
+        for _ in range(10):
+            before = inn.work
+            await asyncio.sleep(0)
+            assert inn.work - before <= SLICE + COST
+        assert min(bravo.heard, charlie.heard) > 0.4 * max(bravo.heard, charlie.heard)
+
+    run_tls(story)
+
+
+def test_a_stop_gets_through_the_floods_of_all_members_at_once():
+    async def story(inn):
+        flooding = [member(inn, f"host{number}") for number in range(8)]
+        for caller in flooding:
+            caller.say(PINGS)
+        anna = inn.caller("anna")
+        before = inn.work
+        anna.say(encode(Hello("observer", "observer", 0)) + encode(EmergencyStop("now")))
+        assert anna.hears.heard[-1] == EmergencyStop("now")
+        assert inn.work - before <= COST
+
+    run_tls(story)
+
+
+def test_whose_messages_are_within_the_budget_comes_before_who_is_over_it():
+    async def story(inn):
+        bravo, charlie = member(inn, "bravo"), member(inn, "charlie")
+        await asyncio.wait_for(floods(inn, bravo, 2.0), 5.0)
+        before = inn.work
+        charlie.say(encode(Ping(2)) * 20)
+        assert charlie.heard == 21
+        assert inn.work - before <= 20.5 * COST
+
+    run_tls(story)
+
+
+def test_a_flood_is_reported_once_held_to_its_ration_and_closed_after_five_seconds_over_budget():
+    async def story(inn):
+        bravo, began = member(inn, "bravo"), inn.loop.time()
+        await floods(inn, bravo, 20.0)
+        took = inn.loop.time() - began
+        first, last = bravo.hears.excesses
+        assert (first.closes, last.closes) == (False, True)
+        assert OVER_FOR <= took <= OVER_FOR + 2.0
+        assert inn.work <= ALLOWANCE + RATION * took + 0.2
+        assert bravo.link.closed
+        bravo.link.connection_lost(None)
+        (end,) = bravo.hears.ends
+        assert isinstance(end, OverBudget)
+        inn.callers.remove(bravo)
+        bravo.wire.free()
+
+    run_tls(story)
+
+
+def test_the_debt_outlives_the_link():
+    async def story(inn):
+        bravo = member(inn, "bravo")
+        await floods(inn, bravo, 20.0)
+        again = member(inn, "bravo")
+        before, began = inn.work, inn.loop.time()
+        await floods(inn, again, 1.0)
+        assert inn.work - before <= RATION * (inn.loop.time() - began) + 0.1
+        assert not again.wire.closing
+
+    run_tls(story)
+
+
+def test_a_hop_after_hop_is_neither_held_for_long_nor_closed():
+    """One coordinator whose block costs a slow computer a millisecond, as fast as it can."""
+
+    async def story(inn):
+        bravo, block, began, count = member(inn, "bravo", 1e-3), b"block", inn.loop.time(), 0
+        hop = encode_transfer(transfer(len(block)), block) + block
+        bravo.hears.on_transfer = lambda link, header, taken: bravo.hears.works()
+        while inn.loop.time() < began + 20.0:
+            if bravo.wire.reads:
+                bravo.say(hop)
+                count += 1
+            await asyncio.sleep(1e-3)
+        assert count > 0.8 * 20.0 / 1e-3
+        assert not bravo.wire.closing
+
+    run_tls(story)
+
+
+def test_long_messages_count_for_more():
+    """A few of a megabyte each cost as much as thousands of short ones."""
+
+    async def story(inn):
+        bravo = member(inn, "bravo", 0.02)
+        long = encode(Room("x" * 1900)) * 3
+        began = inn.loop.time()
+        while inn.loop.time() < began + 20.0 and not bravo.wire.closing:
+            if bravo.wire.reads:
+                bravo.say(long * 40)
+            await asyncio.sleep(1e-3)
+        assert bravo.wire.closing
+
+    run_tls(story)
+
+
+def test_what_comes_with_a_greeting_is_rationed():
+    async def story(inn):
+        bravo = inn.caller("bravo", host=True)
+        bravo.hears.works = lambda: setattr(inn, "work", inn.work + COST)
+        bravo.say(encode(Hello("host", "bravo", 7)) + PINGS)
+        assert bravo.heard <= 2 + SLICE / COST
+
+    run_tls(story)
+
+
+def test_records_without_a_message_are_taken_in_pieces(monkeypatch):
+    async def story(inn):
+        bravo, fed = member(inn, "bravo"), []
+        feed = Channel.feed
+        monkeypatch.setattr(Channel, "feed", lambda self, data: (fed.append(len(data)), feed(self, data))[1])
+        bravo.say(PINGS, record=16 << 10)
+        while not bravo.wire.reads:
+            await asyncio.sleep(0.1)
+        assert len(fed) > 1
+        assert max(fed) <= MEMBERS_PIECE
+
+    run_tls(story)
+
+
+def test_who_goes_while_it_waits_or_is_held_is_forgotten():
+    async def story(inn):
+        bravo, charlie = member(inn, "bravo"), member(inn, "charlie")
+        await floods(inn, bravo, 3.0)
+        charlie.say(PINGS)
+        for caller in (bravo, charlie):
+            caller.link.connection_lost(None)
+            had = caller.heard
+            await asyncio.sleep(2.0)
+            assert caller.heard == had
+            inn.callers.remove(caller)
+            caller.wire.free()
+
+    run_tls(story)
+
+
+@pytest.mark.parametrize("who", ["anna", "bravo"])
+def test_an_observer_is_no_member_whoever_it_is(who):
+    async def story(inn):
+        caller = inn.caller(who, host=who == "bravo")
+        caller.say(encode(Hello("observer", who, 0)) + FLOOD)
+        await asyncio.sleep(8.0)
+        assert caller.hears.excesses == []
+        assert not caller.wire.closing
+
+    run_tls(story)

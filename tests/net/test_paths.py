@@ -1,0 +1,376 @@
+"""Ways to a host on loopback: names that lead elsewhere, silent addresses, listeners that follow."""
+
+from __future__ import annotations
+
+import asyncio
+import socket
+import threading
+from collections.abc import Callable, Iterator
+
+import pytest
+
+from lfield.errors import AddressError, NobodyListens
+from lfield.net.local import insist_on_free, reserve
+from lfield.net.owner import Refusals
+from lfield.net.paths import listener as listeners
+from lfield.net.paths import names
+from lfield.net.paths.attempts import STAGGER
+from lfield.net.paths.dialler import LAST_RETRY, NEWS_AFTER, Dialler
+from lfield.net.paths.names import MOST_LOOKUPS, Found, looked_up
+from lfield.net.stream import socket_address
+from lfield.net.tcp import TcpTransport
+from lfield.net.transport import is_lasting
+from lfield.simulate.time import LoopClock, run_jumping
+from lfield.testing.transport_kit import MAX_BLOCK, Recorder
+
+#: A listener whose callers are never accepted: its queue is full, and nothing is answered.
+HOLE = "127.0.0.9"
+
+
+def has_ipv6() -> bool:
+    try:
+        with socket.create_server(("::1", 0), family=socket.AF_INET6):
+            return True
+    except OSError:
+        return False
+
+
+needs_ipv6 = pytest.mark.skipif(not has_ipv6(), reason="this computer has no IPv6")
+
+
+class Book:
+    """What names lead to, in place of the system's list."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.rows: dict[str, list[str]] = {}
+        self.blocked = threading.Event()
+        self.blocking: set[str] = set()
+        self.asked = 0
+        self._real = socket.getaddrinfo
+        monkeypatch.setattr(socket, "getaddrinfo", self._found)
+
+    def _found(self, host, port, *args, flags=0, **more):
+        if flags & socket.AI_NUMERICHOST or host not in self.rows:
+            return self._real(host, port, *args, flags=flags, **more)
+        self.asked += 1
+        if host in self.blocking:
+            self.blocked.wait(30.0)
+        return [row for address in self.rows[host] for row in self._real(address, port, *args, **more)]
+
+
+@pytest.fixture
+def book(monkeypatch) -> Iterator[Book]:
+    made = Book(monkeypatch)
+    yield made
+    made.blocked.set()
+
+
+@pytest.fixture
+def hole() -> Iterator[int]:
+    """The port at HOLE."""
+    with socket.socket() as made:
+        made.bind((HOLE, 0))
+        made.listen(0)
+        callers = [socket.socket() for _ in range(3)]
+        for caller in callers:
+            caller.setblocking(False)
+            caller.connect_ex(made.getsockname())
+        yield made.getsockname()[1]
+        for caller in callers:
+            caller.close()
+
+
+@pytest.fixture(params=["asyncio", "uvloop"])
+def run(request) -> Callable[..., object]:
+    def told(story):
+        if request.param == "asyncio":
+            return asyncio.run(story)
+        uvloop = pytest.importorskip("uvloop")
+        with asyncio.Runner(loop_factory=uvloop.new_event_loop) as runner:
+            return runner.run(story)
+
+    return told
+
+
+async def listening(address: str, transport: TcpTransport | None = None):
+    accepted: list[Recorder] = []
+
+    def on_link(link):
+        accepted.append(Recorder())
+        return accepted[-1]
+
+    found = await (transport or TcpTransport(MAX_BLOCK)).listen(address, on_link)
+    return found, accepted
+
+
+async def until(done: Callable[[], bool]) -> None:
+    async with asyncio.timeout(30.0):
+        while not done():
+            await asyncio.sleep(0.01)
+
+
+# Names
+
+
+def test_a_name_is_looked_up_at_each_attempt(book, run):
+    async def story():
+        book.rows["bravo"] = ["127.0.0.2"]
+        transport = TcpTransport(MAX_BLOCK)
+        one, _ = await listening("127.0.0.2:0")
+        port = one.address.rpartition(":")[2]
+        two, _ = await listening(f"127.0.0.3:{port}")
+        first = await transport.connect(f"bravo:{port}", Recorder())
+        assert first.peer == f"127.0.0.2:{port}"
+        book.rows["bravo"] = ["127.0.0.3"]
+        second = await transport.connect(f"bravo:{port}", Recorder())
+        assert second.peer == f"127.0.0.3:{port}"
+        for opened in (first, second, one, two):
+            opened.close()
+
+    run(story())
+
+
+def test_a_lookup_that_hangs_blocks_neither_the_loop_nor_other_names_nor_later_ones(book, run):
+    async def story():
+        book.rows |= {"dead": ["127.0.0.2"], "bravo": ["127.0.0.3"]}
+        book.blocking.add("dead")
+        hanging = [asyncio.ensure_future(looked_up("dead", 1)) for _ in range(MOST_LOOKUPS)]
+        await until(lambda: book.asked == MOST_LOOKUPS)
+        with pytest.raises(socket.gaierror):
+            await looked_up("dead", 1)
+        (found,) = await looked_up("bravo", 7)
+        assert found.address == ("127.0.0.3", 7)
+        # The name server answers again: new lookups are not behind the old ones.
+        hanging.pop().cancel()
+        book.blocked.set()
+        await asyncio.gather(*hanging)
+        await until(lambda: not names._under_way)
+        assert await looked_up("dead", 1)
+
+    run(story())
+
+
+def test_a_number_is_not_looked_up(book, run):
+    async def story():
+        book.rows["127.0.0.1"] = ["127.0.0.7"]
+        (found,) = await looked_up("127.0.0.1", 9)
+        assert found == Found(socket.AF_INET, ("127.0.0.1", 9))
+
+    run(story())
+
+
+def test_a_zone_that_is_no_interface_is_named(run):
+    async def story():
+        with pytest.raises(AddressError, match="no such network interface"):
+            await TcpTransport(MAX_BLOCK).connect("[fe80::1%nowhere]:9", Recorder())
+
+    run(story())
+
+
+@pytest.mark.parametrize(
+    ("host", "lasting"),
+    [("127.0.0.1", True), ("fd00::1", True), ("fe80::1%eth0", False), ("bravo", False), ("::", True)],
+)
+def test_what_stays_what_it_is(host, lasting):
+    assert is_lasting(host) is lasting
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        (("10.0.0.1", 9), "10.0.0.1:9"),
+        (("fd00::1", 9, 0, 0), "[fd00::1]:9"),
+        (("::ffff:10.0.0.1", 9, 0, 0), "10.0.0.1:9"),
+        (("fe80::1", 9, 0, socket.if_nametoindex("lo")), "[fe80::1%lo]:9"),
+        (("fe80::1%lo", 9, 0, 1), "[fe80::1%lo]:9"),
+        (("fe80::1", 9, 0, 99999), "[fe80::1%99999]:9"),
+    ],
+)
+def test_an_address_is_written_as_it_can_be_given(name, text):
+    assert socket_address(name) == text
+
+
+# Attempts
+
+
+def test_an_address_that_does_not_answer_keeps_no_other_waiting(book, hole, run):
+    async def story():
+        book.rows["bravo"] = [HOLE, "127.0.0.3"]
+        there, _ = await listening(f"127.0.0.3:{hole}")
+        loop, transport = asyncio.get_running_loop(), TcpTransport(MAX_BLOCK)
+        began = loop.time()
+        link = await transport.connect(f"bravo:{hole}", Recorder())
+        assert link.peer == f"127.0.0.3:{hole}"
+        assert loop.time() - began >= STAGGER
+        link.close()
+        there.close()
+
+    run(story())
+
+
+def test_each_address_that_was_tried_is_told_with_what_came_of_it(book, hole, run):
+    async def story():
+        book.rows["bravo"] = ["127.0.0.2", HOLE]
+        transport = TcpTransport(MAX_BLOCK, connect_timeout=0.5)
+        with pytest.raises(AddressError) as caught:
+            await transport.connect(f"bravo:{hole}", Recorder())
+        assert f"127.0.0.2:{hole}: Connection refused" in caught.value.reason
+        assert f"{HOLE}:{hole}: no answer within 0.5 s" in caught.value.reason
+        book.rows["bravo"] = ["127.0.0.2", "127.0.0.4"]
+        with pytest.raises(NobodyListens):
+            await transport.connect(f"bravo:{hole}", Recorder())
+
+    run(story())
+
+
+@needs_ipv6
+def test_a_name_of_both_families_is_reached_in_either(book, run):
+    async def story():
+        book.rows["bravo"] = ["::1", "127.0.0.1"]
+        for address in ("127.0.0.1:0", "[::1]:0"):
+            there, _ = await listening(address)
+            port = there.address.rpartition(":")[2]
+            link = await TcpTransport(MAX_BLOCK).connect(f"bravo:{port}", Recorder())
+            assert link.peer == there.address
+            link.close()
+            there.close()
+
+    run(story())
+
+
+# Listeners
+
+
+@needs_ipv6
+def test_the_address_of_all_interfaces_takes_both_families(run):
+    async def story():
+        there, accepted = await listening("[::]:0")
+        port = there.address.rpartition(":")[2]
+        links = [
+            await TcpTransport(MAX_BLOCK).connect(f"{a}:{port}", Recorder()) for a in ("127.0.0.1", "[::1]")
+        ]
+        await until(lambda: len(accepted) == 2)
+        for opened in (*links, there):
+            opened.close()
+
+    run(story())
+
+
+def test_a_listener_follows_its_name_and_tries_again_what_fails(book, run, monkeypatch):
+    monkeypatch.setattr(listeners, "CHECK_EVERY", 0.02)
+
+    async def story():
+        book.rows["alpha"] = ["127.0.0.2"]
+        transport, notes = TcpTransport(MAX_BLOCK), []
+        transport.note = notes.append
+        there, accepted = await listening("alpha:0", transport)
+        port = int(there.address.rpartition(":")[2])
+        # Somebody else has the port there, for a while.
+        with socket.create_server(("127.0.0.3", port)):
+            book.rows["alpha"] = ["127.0.0.3"]
+            await until(lambda: any("cannot listen at 127.0.0.3" in note for note in notes))
+            assert there.address == f"127.0.0.2:{port}"
+        await until(lambda: there.address == f"127.0.0.3:{port}")
+        assert sum("cannot listen" in note for note in notes) == 1
+        link = await TcpTransport(MAX_BLOCK).connect(f"127.0.0.3:{port}", Recorder())
+        await until(lambda: len(accepted) == 1)
+        with pytest.raises(NobodyListens):
+            await TcpTransport(MAX_BLOCK).connect(f"127.0.0.2:{port}", Recorder())
+        # A name that leads nowhere for a while changes nothing.
+        book.rows["alpha"] = []
+        asked = book.asked
+        await until(lambda: book.asked > asked + 2)
+        assert there.address == f"127.0.0.3:{port}"
+        link.close()
+        there.close()
+        await until(lambda: not names._under_way)
+
+    run(story())
+
+
+def test_a_name_with_an_address_of_another_computer_is_listened_at_where_it_can_be(book, run):
+    async def story():
+        book.rows["alpha"] = ["192.0.2.1", "127.0.0.2"]
+        there, _ = await listening("alpha:0")
+        assert there.address.startswith("127.0.0.2:")
+        there.close()
+        book.rows["alpha"] = ["192.0.2.1"]
+        with pytest.raises(AddressError, match="not one of this machine"):
+            await listening("alpha:0")
+        await until(lambda: not names._under_way)
+
+    run(story())
+
+
+@needs_ipv6
+@pytest.mark.parametrize("address", ["[::1]:0", "127.0.0.1:0", "[::]:0"])
+def test_a_port_is_reserved_in_each_family(address):
+    reserved, text = reserve(address)
+    with reserved:
+        with pytest.raises(AddressError) as caught:
+            insist_on_free(text)
+        assert "in use" in caught.value.reason
+    insist_on_free(text)
+
+
+# Calling again and again
+
+
+class Caller:
+    """Wants a link with bravo, whom nobody reaches."""
+
+    def __init__(self, errors: list[Exception]) -> None:
+        self.errors, self.calls, self.notes, self.barred = errors, [], [], 0.0
+        self.refusals = Refusals(["bravo"])
+
+    def wants(self, host):
+        return True
+
+    def link_of(self, host):
+        return None
+
+    def now(self):
+        return 0.0
+
+    def barred_for(self, host):
+        left, self.barred = self.barred, 0.0
+        return left
+
+    def called(self, host):
+        pass
+
+    async def connect(self, address, handler):
+        now = asyncio.get_running_loop().time()
+        self.calls.append(now)
+        raise self.errors[len(self.calls) % len(self.errors)]
+
+
+def test_who_does_not_answer_is_called_every_second_and_each_result_is_told_once():
+    errors = [AddressError("b:1", "no answer"), AddressError("b:1", "no way")]
+
+    async def story():
+        caller = Caller(errors)
+        dialler = Dialler(caller, caller, LoopClock(), "bravo", "b:1", caller.notes.append)
+        await asyncio.sleep(NEWS_AFTER - 0.1)
+        assert caller.notes == []
+        await asyncio.sleep(60.0)
+        dialler.cancel()
+        gaps = [after - before for before, after in zip(caller.calls, caller.calls[1:], strict=False)]
+        assert max(gaps) <= LAST_RETRY
+        assert len(caller.notes) == 2
+        assert {"no answer" in note for note in caller.notes} == {True, False}
+        assert all("bravo is not reached at b:1" in note for note in caller.notes)
+
+    run_jumping(story())
+
+
+def test_who_is_barred_is_not_called_meanwhile():
+    async def story():
+        caller = Caller([AddressError("b:1", "no answer")])
+        caller.barred, began = 8.0, asyncio.get_running_loop().time()
+        dialler = Dialler(caller, caller, LoopClock(), "bravo", "b:1", caller.notes.append)
+        await asyncio.sleep(9.0)
+        dialler.cancel()
+        assert caller.calls[0] == pytest.approx(began + 8.0)
+
+    run_jumping(story())

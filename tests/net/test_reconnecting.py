@@ -1,0 +1,211 @@
+"""Links between two computers come back within 10 s after the path works again, whatever had happened to it.
+
+The computers are network namespaces; where none can be made, tests/net/test_paths.py has what can be tried on
+loopback.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import pytest
+from namespaces import Network, Process, namespaces, network  # noqa: F401
+
+from lfield.testing.keys import Keyring
+
+pytestmark = pytest.mark.process
+
+#: Seconds in which a link comes back.
+PROMISE = 10.0
+
+
+@dataclass
+class Two:
+    """Two linked hosts; what happens to their path is done to `net`."""
+
+    net: Network
+    a: Process
+    b: Process
+    places: tuple[str, ...]
+
+    def lost(self) -> None:
+        """Both have given the link up."""
+        for process, other in ((self.a, "b"), (self.b, "a")):
+            process.wait_for(f"unlinked {other}")
+
+
+@pytest.fixture
+def net(request, tmp_path) -> Iterator[Network]:
+    if not request.getfixturevalue("namespaces"):
+        pytest.skip("no network namespace can be made here: test_paths.py has the variants on loopback")
+    ring = Keyring(tmp_path / "keys")
+    yield from network(ring.give("a", "b"))
+
+
+def linked(net: Network, *places: str) -> Two:
+    a, b = net.start("a", *places), net.start("b", *places)
+    for process, other in ((a, "b"), (b, "a")):
+        process.wait_for(f" linked {other}")
+    return Two(net, a, b, places)
+
+
+def by_numbers(net: Network, a: str, b: str) -> Two:
+    net.address("a", f"{a}/64" if ":" in a else f"{a}/24")
+    net.address("b", f"{b}/64" if ":" in b else f"{b}/24")
+    bracketed = [f"[{address}]:7001" if ":" in address else f"{address}:7001" for address in (a, b)]
+    return linked(net, f"a={bracketed[0]}", f"b={bracketed[1]}")
+
+
+def by_names(net: Network) -> Two:
+    net.address("a", "10.9.0.1/24")
+    net.address("b", "10.9.0.2/24")
+    for host in "ab":
+        net.name(host, "10.9.0.1 alpha", "10.9.0.2 bravo")
+    return linked(net, "a=alpha:7001", "b=bravo:7001")
+
+
+def silence(two: Two) -> Callable[[], None]:
+    """Nothing comes through for a while: the router has no power."""
+    two.net.silence()
+    two.lost()
+    return two.net.heal
+
+
+def silence_v6(net: Network) -> tuple[Two, Callable[[], None]]:
+    two = by_numbers(net, "fd00::1", "fd00::2")
+    return two, silence(two)
+
+
+def silence_v4(net: Network) -> tuple[Two, Callable[[], None]]:
+    two = by_numbers(net, "10.9.0.1", "10.9.0.2")
+    return two, silence(two)
+
+
+def peer_died(net: Network) -> tuple[Two, Callable[[], None]]:
+    """The peer loses power, and is another life when it is back."""
+    two = by_numbers(net, "10.9.0.1", "10.9.0.2")
+    net.silence()
+    two.b.kill()
+    two.a.wait_for("unlinked b")
+    two.b = net.start("b", *two.places)
+    two.b.wait_for("listens")
+    return two, net.heal
+
+
+def interface(net: Network, a: str, b: str) -> tuple[Two, Callable[[], None]]:
+    """The interface of the called host goes, with its address, and comes back."""
+    two = by_numbers(net, a, b)
+    net.pull_out("b")
+    two.lost()
+
+    def back() -> None:
+        net.plug_in("b")
+        net.address("b", f"{b}/64" if ":" in b else f"{b}/24")
+
+    return two, back
+
+
+def interface_v4(net: Network) -> tuple[Two, Callable[[], None]]:
+    return interface(net, "10.9.0.1", "10.9.0.2")
+
+
+def interface_v6(net: Network) -> tuple[Two, Callable[[], None]]:
+    return interface(net, "fd00::1", "fd00::2")
+
+
+def own_interface(net: Network) -> tuple[Two, Callable[[], None]]:
+    """The same of the host that calls."""
+    two = by_numbers(net, "10.9.0.1", "10.9.0.2")
+    net.pull_out("a")
+    two.lost()
+
+    def back() -> None:
+        net.plug_in("a")
+        net.address("a", "10.9.0.1/24")
+
+    return two, back
+
+
+def link_local(net: Network) -> tuple[Two, Callable[[], None]]:
+    """The zone of the address is another number when the interface is back."""
+    for host, number in (("a", 1), ("b", 2)):
+        net.address(host)
+        net._ip(net._named(host), "addr", "add", f"fe80::{number}/64", "dev", "eth0", "nodad")
+    two = linked(net, "a=[fe80::1%eth0]:7001", "b=[fe80::2%eth0]:7001")
+    net.pull_out("b")
+    two.lost()
+
+    def back() -> None:
+        net.plug_in("b")
+        net._ip(net._named("b"), "addr", "add", "fe80::2/64", "dev", "eth0", "nodad")
+
+    return two, back
+
+
+def peer_moved(net: Network) -> tuple[Two, Callable[[], None]]:
+    """The called host gets another address, to which its name leads from then on."""
+    two = by_names(net)
+    net.address("b")
+    two.lost()
+
+    def told() -> None:
+        net.address("b", "10.9.0.22/24")
+        for host in "ab":
+            net.name(host, "10.9.0.1 alpha", "10.9.0.22 bravo")
+
+    return two, told
+
+
+def moved(net: Network) -> tuple[Two, Callable[[], None]]:
+    """The host that calls gets another address."""
+    two = by_names(net)
+    net.address("a")
+    two.lost()
+    return two, lambda: net.address("a", "10.9.0.11/24")
+
+
+def dead_first_address(net: Network) -> tuple[Two, Callable[[], None]]:
+    """A name leads to an address that answers nothing, and to one that does."""
+    net.address("a", "10.9.0.1/24")
+    net.address("b", "10.9.0.2/24")
+    net.name("a", "10.9.0.1 alpha", "10.9.0.2 bravo")
+    net.name("b", "10.9.0.1 alpha", "10.9.0.2 bravo")
+    two = linked(net, "a=alpha:7001", "b=bravo:7001")
+    net.silence()
+    two.lost()
+    # Nobody has the first: it does not even refuse.
+    net.name("a", "10.9.0.1 alpha", "10.9.0.77 bravo", "10.9.0.78 bravo", "10.9.0.2 bravo")
+    return two, net.heal
+
+
+CASES = [
+    silence_v4,
+    silence_v6,
+    peer_died,
+    interface_v4,
+    interface_v6,
+    own_interface,
+    link_local,
+    peer_moved,
+    moved,
+    dead_first_address,
+]
+
+
+@pytest.mark.few(2)
+@pytest.mark.parametrize("case", CASES, ids=lambda case: case.__name__)
+def test_a_link_comes_back(net, case):
+    two, works_again = case(net)
+    # So long that every attempt waits as long as any does.
+    time.sleep(4.0)
+    counts = len(two.a.lines), len(two.b.lines)
+    began = time.monotonic()
+    works_again()
+    back = [
+        process.wait_for(f" linked {other}", count) - began
+        for process, other, count in ((two.a, "b", counts[0]), (two.b, "a", counts[1]))
+    ]
+    print(f"{case.__name__}: linked again after {max(back):.1f} s", *two.a.lines, *two.b.lines, sep="\n")
+    assert max(back) < PROMISE

@@ -1,0 +1,264 @@
+"""A coordinator that has terminated under leases is never recovered. Whole hosts, virtual time."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from msgspec import structs
+
+from lfield.host.team.leases import Leases
+from lfield.mission.load import load_mission
+from lfield.mission.mission import Mission
+from lfield.quorum.core import Quorum
+from lfield.quorum.terminations import Terminations
+from lfield.simulate.fleet import Fleet
+from lfield.simulate.judging.breaches import Breaches
+from lfield.simulate.judging.terminated import Terminated
+from lfield.wire.observing import Recover
+
+PROGRAM = """
+resource Valve {
+    int turns;
+    init(string[] arg) { }
+    portal turn() emit int { turns += 1; sleep(1.0); return turns; }
+}
+coordinator Boss {
+    init(string[] arg) {
+        heartbeatInterval(3.0);
+        while (true) {
+            try {
+                print("turned " + i2s(findValve("v").turn()));
+                END
+            }
+            catch (RestartException e) { print("once more"); }
+            catch (UnreachableResourceException e) { sleep(1.0); }
+        }
+    }
+}
+"""
+TEAM = "//Boss:boss@a\n//Valve:v@b\n//@c\n"
+#: The two ways in which a program terminates: `init` returns, or an exception is not caught.
+ENDS = {"done": "return;", "died": "throw new Exception();"}
+
+
+def mission(folder: Path, end: str = "done", team: str = TEAM) -> Mission:
+    (folder / "mission.L").write_text(PROGRAM.replace("END", ENDS[end]))
+    (folder / "mission.dL").write_text(team)
+    return load_mission(folder / "mission.dL", simulate=True)
+
+
+def said(fleet: Fleet, what: str) -> list[tuple[float, str, str]]:
+    return [line for line in fleet.log if what in line[2]]
+
+
+def judged(mission: Mission, seed: int = 1) -> tuple[Fleet, Breaches]:
+    """A fleet, and what the judge of terminations finds in it."""
+    fleet: Fleet
+
+    def latest(agent: str, below: int) -> int:
+        rows = (row for life in fleet.lives.values() for row in life.core.mobility.knowledge())
+        return max((row.generation for row in rows if row.generation < below), default=0)
+
+    breaches = Breaches(lambda: fleet.now)
+    judge = Terminated(breaches, lambda: fleet, latest)
+    fleet = Fleet(mission, seed, born=lambda name, life: judge.born(life))
+    return fleet, breaches
+
+
+def states(fleet: Fleet) -> dict[str, list[tuple[int, str, str]]]:
+    """What each host that is up knows of boss: start, state, outcome."""
+    return {
+        name: [(row.generation, row.state, row.outcome) for row in life.core.mobility.knowledge()]
+        for name, life in fleet.lives.items()
+    }
+
+
+def run_until_ended(fleet: Fleet, host: str = "b") -> None:
+    for _ in range(60):
+        if states(fleet)[host] == [(1, "EXITED", "done")]:
+            return
+        fleet.run(0.05)
+    raise AssertionError(f"boss has not ended: {states(fleet)}")
+
+
+@pytest.mark.parametrize("end", ENDS)
+def test_a_coordinator_whose_end_a_third_host_knows_is_not_recovered(tmp_path: Path, end: str) -> None:
+    fleet, breaches = judged(mission(tmp_path, end))
+    fleet.run(0.8)
+    fleet.cut("a", "b")
+    fleet.run(8.2)
+    fleet.heal_all()
+    fleet.run(20.0)
+    assert not breaches
+    assert [where for _, where, _ in said(fleet, "turned 1")] == ["b"]
+    assert not said(fleet, "recovered")
+    assert not said(fleet, "turned 2")
+    for life in fleet.lives.values():
+        (row,) = life.core.mobility.knowledge()
+        assert (row.agent, row.state, row.outcome, row.where) == ("boss", "EXITED", end, "b")
+
+
+def test_gossip_brings_an_end_to_who_has_no_link_with_its_host(tmp_path: Path) -> None:
+    fleet, _ = judged(mission(tmp_path))
+    fleet.run(0.8)
+    fleet.cut("a", "b")
+    run_until_ended(fleet)
+    fleet.run(1.0)
+    assert states(fleet) == {key: [(1, "EXITED", "done")] for key in "abc"}
+
+
+@pytest.mark.parametrize("again", ["crash", "power_off"])
+def test_who_knows_an_end_knows_it_after_a_restart(tmp_path: Path, again: str) -> None:
+    fleet, breaches = judged(mission(tmp_path))
+    fleet.run(0.8)
+    for other in "bc":
+        fleet.cut("a", other)
+    run_until_ended(fleet)
+    run_until_ended(fleet, "c")
+    fleet.power_off("b")
+    getattr(fleet, again)("c")
+    fleet.boot("c")
+    fleet.heal("a", "c")
+    fleet.run(30.0)
+    assert not breaches
+    assert not said(fleet, "recovered")
+    assert states(fleet) == {key: [(1, "EXITED", "done")] for key in "ac"}
+
+
+def test_a_member_with_a_new_disk_hears_of_the_end_before_it_promises(tmp_path: Path) -> None:
+    fleet, breaches = judged(mission(tmp_path))
+    fleet.run(0.8)
+    for other in "bc":
+        fleet.cut("a", other)
+    run_until_ended(fleet)
+    run_until_ended(fleet, "c")
+    fleet.power_off("b")
+    fleet.power_off("c")
+    fleet.lose_disk("c")
+    fleet.boot("c")
+    fleet.heal("a", "c")
+    fleet.run(20.0)
+    assert not said(fleet, "recovered")
+    fleet.heal_all()
+    fleet.run(0.1)
+    fleet.run(20.0)
+    assert not breaches
+    assert not said(fleet, "recovered")
+    assert states(fleet) == {key: [(1, "EXITED", "done")] for key in "abc"}
+
+
+def test_an_end_that_only_its_host_knows_is_not_final_and_says_nothing_new_afterwards(tmp_path: Path) -> None:
+    """The host that has it is cut off from all others: it has no lease, and they go on."""
+    fleet, breaches = judged(mission(tmp_path))
+    fleet.run(0.8)
+    for other in "ac":
+        fleet.cut("b", other)
+    fleet.run(10.0)
+    assert said(fleet, "boss is recovered here")
+    fleet.heal_all()
+    fleet.run(20.0)
+    assert not breaches
+    assert said(fleet, "turned 2")
+    for rows in states(fleet).values():
+        assert {outcome for generation, _, outcome in rows if generation > 1} == {"done"}
+
+
+def test_an_operator_does_not_recover_what_has_ended(tmp_path: Path) -> None:
+    fleet, breaches = judged(mission(tmp_path))
+    fleet.run(0.8)
+    fleet.cut("a", "b")
+    row = fleet.lives["a"].core.mobility.recoverable("boss")
+    assert row is not None
+    word = Recover("boss", row.generation, row.sequence, row.generation)
+    run_until_ended(fleet)
+    fleet.run(1.0)
+    answer = fleet.lives["a"].core.recover(word)
+    assert (answer.generation, "boss has ended on b (done)" in answer.reason) == (0, True)
+    assert not breaches
+
+
+def test_an_operator_recovers_nothing_under_leases_where_no_majority_is_heard(tmp_path: Path) -> None:
+    fleet, _ = judged(mission(tmp_path))
+    fleet.run(0.8)
+    for other in "bc":
+        fleet.cut("a", other)
+    row = fleet.lives["a"].core.mobility.recoverable("boss")
+    assert row is not None
+    fleet.run(3.0)
+    word = Recover("boss", row.generation, row.sequence, row.generation)
+    answer = fleet.lives["a"].core.recover(word)
+    assert (answer.generation, "a hears no majority of the members" in answer.reason) == (0, True)
+
+
+def test_a_new_run_of_the_mission_starts_what_has_ended(tmp_path: Path) -> None:
+    fleet, breaches = judged(mission(tmp_path))
+    fleet.run(6.0)
+    assert states(fleet) == {key: [(1, "EXITED", "done")] for key in "abc"}
+    for name in "abc":
+        fleet.stop(name)
+    fleet.run(10.0)
+    for name in "abc":
+        fleet.boot(name)
+    fleet.run(10.0)
+    assert len(said(fleet, "turned 1")) == 2
+    assert not breaches
+    assert states(fleet) == {key: [(1, "EXITED", "done"), (2, "EXITED", "done")] for key in "abc"}
+
+
+def an_end_is_like_nothing_known(patch: pytest.MonkeyPatch) -> None:
+    """As it was: a coordinator that has terminated looks like one of which nothing was ever heard."""
+    patch.setattr(Leases, "_saved_end", lambda self, agent: None)
+
+
+def a_promise_in_spite_of_a_known_end(patch: pytest.MonkeyPatch) -> None:
+    """It is told in acknowledgements, but whoever is asked does not look."""
+    on_propose, sought = Quorum._on_propose, Quorum._sought
+
+    def promises(self: Quorum, host: str, message: Any, now: float) -> Any:
+        return on_propose(self, host, structs.replace(message, start=2**62), now)
+
+    def silent(self: Quorum, agent: str, now: float) -> Any:
+        return structs.replace(sought(self, agent, now), ended=None)
+
+    patch.setattr(Quorum, "_on_propose", promises)
+    patch.setattr(Quorum, "_sought", silent)
+    patch.setattr(Terminations, "all", property(lambda self: []))
+
+
+@pytest.mark.parametrize("plant", [an_end_is_like_nothing_known, a_promise_in_spite_of_a_known_end])
+def test_the_judge_finds_what_lets_an_ended_coordinator_be_recovered(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, plant: Callable[[pytest.MonkeyPatch], None]
+) -> None:
+    plant(monkeypatch)
+    fleet, breaches = judged(mission(tmp_path))
+    fleet.run(0.8)
+    fleet.cut("a", "b")
+    fleet.run(8.2)
+    assert {breach.name for breach in breaches} == {"terminated", "promised"}
+
+
+@pytest.mark.few(2)
+@pytest.mark.parametrize("seed", range(3, 27))
+def test_whenever_links_are_cut_what_is_final_stays_so(tmp_path: Path, seed: int) -> None:
+    """Random cuts around the end of boss, in teams of three to five; every end of a start comes once."""
+    dice = random.Random(seed)
+    team = TEAM + "".join(f"//@{name}\n" for name in "de"[: dice.randrange(3)])
+    fleet, breaches = judged(mission(tmp_path, team=team), seed)
+    names = sorted(fleet.lives)
+    fleet.run(dice.uniform(0.3, 1.6))
+    for _ in range(6):
+        one, other = dice.sample(names, 2)
+        fleet.cut(one, other)
+        if dice.random() < 0.5:
+            fleet.heal(*dice.sample(names, 2))
+        fleet.run(dice.uniform(0.1, 4.0))
+    fleet.heal_all()
+    fleet.run(40.0)
+    assert not breaches
+    for rows in states(fleet).values():
+        assert all(state == "EXITED" for _, state, _ in rows)
+        assert max(rows)[2] == "done"

@@ -1,0 +1,77 @@
+"""What makes hosts keep what they confirm to a person, each left out; and links beyond the neighbours."""
+
+from __future__ import annotations
+
+import random
+from dataclasses import replace
+from typing import Any
+
+from planted_bugs import Bug, Patch
+
+from lfield.devices.guards import Guards
+from lfield.host.core import HostCore
+from lfield.host.team import words
+from lfield.host.visitors import Visitors
+from lfield.journal.pages import Paused
+from lfield.simulate.stories.drawing import crowd, under_orders
+from lfield.simulate.stories.story import FOR_EVER, Story, plain
+
+
+def ordered(seed: int) -> Story:
+    """One under orders of a person, of hosts with journals that are often killed."""
+    dice = random.Random(f"ordered {seed}")
+    means = {kind: dice.uniform(1.5, 4.0) for kind in ("kill", "restart", "guard_kill")}
+    story = replace(plain(seed), cast=3, hosts=3, arms=2, calls=FOR_EVER, stay=0.04, means=means)
+    story = replace(story, journals=True, lost_after=None, weather=14.0, seconds=14.0)
+    return under_orders(story, dice)
+
+
+def a_stop_is_forgotten_by_a_restart(patch: Patch) -> None:
+    patch.setattr(Visitors, "stay_stopped", lambda self: None)
+
+
+def a_pause_is_forgotten_by_a_restart(patch: Patch) -> None:
+    patch.setattr(words, "Paused", lambda on: Paused(False))
+
+
+def a_stop_bars_nobody(patch: Patch) -> None:
+    def bar(self: Guards, reason: str) -> None:
+        for guard in self._guards:
+            for name in guard.movable:
+                guard.make_safe(name, reason)
+
+    patch.setattr(Guards, "bar", bar)
+
+
+def a_pause_leaves_devices_alone(patch: Patch) -> None:
+    async def rest(self: Guards, reason: str) -> dict[str, str]:
+        return {name: "" for guard in self._guards for name in guard.movable}
+
+    patch.setattr(Guards, "rest", rest)
+
+
+def only_neighbours_are_called(patch: Patch) -> None:
+    def wanted(self: HostCore) -> set[str]:
+        return {*self.hearsay.wanted(self._clock.monotonic())} - {self.name}
+
+    patch.setattr(HostCore, "wanted", wanted)
+    patch.setattr(HostCore, "_reach", lambda self, host: None)
+
+
+def _bug(plant: Any, why: str, found: str, seed: int, draws: Any = ordered) -> Bug:
+    return Bug(plant, why, frozenset(found.split()), seed, draws)
+
+
+ORDER_BUGS = [
+    _bug(a_stop_is_forgotten_by_a_restart, "a host that was started again lets programs release", "stop", 2),
+    _bug(a_pause_is_forgotten_by_a_restart, "a host that was started again runs its agents", "pause", 1),
+    _bug(a_stop_bars_nobody, "a program releases what a person has stopped", "stop", 2),
+    _bug(a_pause_leaves_devices_alone, "a device goes on with its last setpoint", "pause", 18),
+    _bug(
+        only_neighbours_are_called,
+        "a coordinator never comes to a host with which there is no link",
+        "reach",
+        1,
+        crowd,
+    ),
+]

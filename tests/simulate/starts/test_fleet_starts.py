@@ -1,0 +1,367 @@
+"""A new start waits for the hosts that a mission needs, and says for which. Whole hosts, in virtual time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+
+import pytest
+
+from lfield.host.core import HostCore
+from lfield.journal.pages import Starts
+from lfield.mission.access.release import Release
+from lfield.mission.load import load_mission
+from lfield.mission.mission import Mission
+from lfield.simulate import hardware
+from lfield.simulate.fleet import Fleet
+from lfield.wire.observing import Status
+
+PROGRAM = """
+resource Post {
+    int count;
+    init(string[] arg) { }
+    portal work(real seconds) emit int {
+        count = count + 1;
+        write("works\\n");
+        sleep(seconds);
+        return count;
+    }
+}
+coordinator Boss {
+    init(string[] arg) {
+        print("begins");
+        for (Post post : findPost()) {
+            try { post.work(s2f(arg[1])); }
+            catch (RestartException e) { print("restarted"); }
+            catch (UnreachableResourceException e) { print("unreachable"); }
+        }
+        print("ends");
+    }
+}
+"""
+TEAM = "//Boss:boss@alpha?{0}\n//Post:one@alpha\n//Post:two@bravo\n//Post:three@carol\n//@dora\n"
+
+
+def mission(
+    folder: Path, without: str = "", seconds: float = 0.1, team: str = TEAM, text: str = PROGRAM
+) -> Mission:
+    (folder / "mission.L").write_text(text)
+    (folder / "mission.dL").write_text(team.format(seconds))
+    if without:
+        (folder / "mission.devices.yaml").write_text(f"start: {{without: [{without}]}}\n")
+    return load_mission(folder / "mission.dL", simulate=True)
+
+
+@pytest.fixture
+def fleets() -> Iterator[list[Fleet]]:
+    made: list[Fleet] = []
+    yield made
+    for fleet in made:
+        fleet.close()
+
+
+def said(fleet: Fleet, text: str, host: str = "") -> int:
+    return sum(text in line and host in ("", name) for _, name, line in fleet.log)
+
+
+def status(fleet: Fleet, host: str) -> Status:
+    return fleet.lives[host].host.status()
+
+
+def started(fleet: Fleet) -> bool:
+    return said(fleet, "boss: begins") > 0
+
+
+def event(fleet: Fleet, event: Callable[[HostCore], object]) -> None:
+    """Let something happen to alpha, in its own process."""
+    life = fleet.lives["alpha"]
+    life.process.loop.enter(lambda: life.host._enter(lambda: event(life.core)))
+
+
+def alone(made: Mission, *absent: str, **options: bool) -> Fleet:
+    """A fleet of which some hosts are not there yet."""
+    fleet = Fleet(made, 1, **options)  # type: ignore[arg-type]  # keeps
+    for name in absent:
+        fleet.power_off(name)
+    return fleet
+
+
+@pytest.mark.parametrize("keeps", [True, False])
+def test_a_new_start_waits_for_every_host_with_resources_and_for_no_other(
+    tmp_path: Path, keeps: bool
+) -> None:
+    fleet = alone(mission(tmp_path), "carol", "dora", keeps=keeps)
+    fleet.run(60.0)
+    assert not started(fleet)
+    start = status(fleet, "alpha").start
+    assert start is not None
+    assert (start.agents, start.hosts, start.held) == (["boss"], ["carol"], "")
+    assert status(fleet, "bravo").start is None
+    fleet.boot("carol")
+    fleet.run(3.0)
+    assert started(fleet)
+    assert status(fleet, "alpha").start is None
+    assert said(fleet, "boss: begins") == 1
+
+
+def test_without_a_record_a_witness_is_heard_too_unless_it_is_left_out(tmp_path: Path) -> None:
+    made = mission(tmp_path, "dora")
+    fleet = Fleet(made, 1, keeps=False)
+    fleet.power_off("dora")
+    for name in ("alpha", "bravo", "carol"):
+        fleet.crash(name)
+        fleet.boot(name)
+    fleet.run(10.0)
+    assert started(fleet)
+
+
+def test_a_host_that_is_left_out_by_the_devices_file_may_come_later(tmp_path: Path) -> None:
+    fleet = alone(mission(tmp_path, "carol", seconds=4.0), "carol")
+    fleet.run(5.0)
+    assert started(fleet)
+    fleet.boot("carol")
+    fleet.run(20.0)
+    assert said(fleet, "works", "carol") == 1
+    assert said(fleet, "boss: ends") == 1
+
+
+def test_a_command_starts_without_a_host_and_refuses_one_that_there_is_not(tmp_path: Path) -> None:
+    fleet = alone(mission(tmp_path), "carol")
+    fleet.run(5.0)
+    core = fleet.lives["alpha"].core
+    answer = core.startup.start(["karol"])
+    assert answer.trouble == "the deployment has no host 'karol': did you mean 'carol'?"
+    assert (answer.started, answer.waiting and answer.waiting.hosts) == ([], ["carol"])
+    assert core.startup.start([]).waiting == answer.waiting
+    fleet.run(1.0)
+    assert not started(fleet)
+    answer = core.startup.start(["carol"])
+    assert (answer.started, answer.waiting, answer.trouble) == (["boss"], None, "")
+    fleet.run(1.0)
+    assert started(fleet)
+    # Whoever asks again gets the answer that nothing waits.
+    assert core.startup.start(["carol"]) == core.startup.start([])
+
+
+def test_a_host_that_is_lost_before_the_start_is_waited_for_again(tmp_path: Path) -> None:
+    fleet = alone(mission(tmp_path), "carol")
+    fleet.run(5.0)
+    fleet.cut("alpha", "bravo")
+    fleet.boot("carol")
+    fleet.run(10.0)
+    assert not started(fleet)
+    assert said(fleet, "bravo (its link was lost", "alpha")
+    fleet.heal_all()
+    fleet.run(5.0)
+    assert started(fleet)
+
+
+def test_the_log_names_what_is_waited_for_at_once_and_then_ever_more_rarely(tmp_path: Path) -> None:
+    fleet = alone(mission(tmp_path), "carol")
+    fleet.run(3.0)
+    line = "boss is not started: waiting for carol (it has not been linked yet)"
+    assert said(fleet, line, "alpha") == 1
+    fleet.run(1200.0)
+    times = [at for at, _, text in fleet.log if line in text]
+    gaps = [later - at for at, later in pairwise(times)]
+    assert gaps[0] == pytest.approx(10.0, rel=0.1)
+    assert gaps[-1] == pytest.approx(300.0, rel=0.1)
+    assert len(times) < 12
+
+
+def other_bundle(fleet: Fleet, host: str, made: Mission) -> None:
+    """Start a host again from other files."""
+    fleet.crash(host)
+    before, fleet.mission = fleet.mission, replace(fleet.mission, release=made.release, program=made.program)
+    fleet.boot(host)
+    fleet.run(0.01)
+    fleet.mission = before
+
+
+def test_a_host_with_another_bundle_stops_the_start_and_both_say_why(tmp_path: Path) -> None:
+    ours, theirs = b"\x11" * 32, b"\x22" * 32
+    made = replace(mission(tmp_path), release=Release(ours))
+    fleet = alone(made, "carol")
+    fleet.boot("carol")
+    other_bundle(fleet, "carol", replace(made, release=Release(theirs)))
+    fleet.run(15.0)
+    assert not started(fleet)
+    words = "alpha runs bundle 1111111111111111 and carol runs bundle 2222222222222222"
+    (refused,) = (one for one in status(fleet, "alpha").refused if one.host == "carol")
+    assert (refused.bundle, words in refused.reason or "carol runs" in refused.reason) == (theirs, True)
+    assert {one.bundle for one in status(fleet, "carol").refused} == {ours}
+    assert {one.host for one in status(fleet, "carol").refused} == {"alpha", "bravo", "dora"}
+    assert said(fleet, "boss is not started: waiting for carol (refused: ", "alpha")
+    assert said(fleet, "runs bundle 2222222222222222", "alpha")
+    # The right bundle is copied there, and it joins.
+    fleet.crash("carol")
+    fleet.boot("carol")
+    fleet.run(5.0)
+    assert started(fleet)
+    assert status(fleet, "alpha").refused == []
+
+
+def test_what_goes_on_from_the_journal_waits_for_nobody(tmp_path: Path) -> None:
+    for ends in ("crash", "stop"):
+        fleet = Fleet(mission(tmp_path, seconds=8.0), 1)
+        fleet.run(4.0)
+        assert started(fleet)
+        (fleet.crash if ends == "crash" else fleet.stop)("alpha")
+        fleet.run(2.0)
+        for name in ("bravo", "carol", "dora"):
+            fleet.power_off(name)
+        fleet.boot("alpha")
+        fleet.run(5.0)
+        assert said(fleet, "boss: restarted", "alpha") == 1
+        assert not said(fleet, "is not started")
+        fleet.close()
+
+
+def test_a_crash_during_the_wait_leaves_a_start_that_waits(tmp_path: Path) -> None:
+    fleet = alone(mission(tmp_path), "carol")
+    fleet.run(5.0)
+    fleet.crash("alpha")
+    fleet.boot("alpha")
+    fleet.run(20.0)
+    assert not started(fleet)
+    assert not any(isinstance(page, Starts) and page.count for page in fleet.disks["alpha"].pages())
+    fleet.boot("carol")
+    fleet.run(3.0)
+    assert started(fleet)
+
+
+def test_a_stop_of_the_host_ends_the_wait(tmp_path: Path) -> None:
+    fleet = alone(mission(tmp_path), "carol")
+    fleet.run(5.0)
+    fleet.stop("alpha")
+    fleet.run(5.0)
+    assert "alpha" not in fleet.lives
+    fleet.boot("carol")
+    fleet.run(5.0)
+    assert not started(fleet)
+
+
+def test_a_pause_during_the_wait_holds_the_start_until_the_mission_is_resumed(tmp_path: Path) -> None:
+    fleet = alone(mission(tmp_path), "carol")
+    fleet.run(5.0)
+    event(fleet, lambda core: core.pause(on=True))
+    fleet.boot("carol")
+    fleet.run(5.0)
+    assert not started(fleet)
+    event(fleet, lambda core: core.pause(on=False))
+    fleet.run(1.0)
+    assert started(fleet)
+
+
+def test_an_emergency_stop_during_the_wait_holds_the_start_until_a_command(tmp_path: Path) -> None:
+    fleet = alone(mission(tmp_path), "carol")
+    fleet.run(5.0)
+    event(fleet, lambda core: core.stop("a person on the field"))
+    fleet.boot("carol")
+    fleet.run(5.0)
+    assert not started(fleet)
+    # To lift it moves nothing.
+    event(fleet, lambda core: core.stop(""))
+    fleet.run(20.0)
+    start = status(fleet, "alpha").start
+    assert start is not None
+    assert "emergency stop" in start.held
+    assert not started(fleet)
+    event(fleet, lambda core: core.startup.start([]))
+    fleet.run(1.0)
+    assert started(fleet)
+
+
+def test_in_an_overlay_the_start_needs_all_hosts_and_not_only_the_neighbours(tmp_path: Path) -> None:
+    names = [f"h{number:02}" for number in range(14)]
+    team = "//Boss:boss@h00?{0}\n" + "".join(f"//Post:p{name}@{name}\n" for name in names)
+    made = mission(tmp_path, team=team)
+    fleet = Fleet(made, 1)
+    near = fleet.lives["h00"].core.hearsay.near
+    far = next(name for name in names[1:] if name not in near)
+    fleet.power_off(far)
+    fleet.run(30.0)
+    assert not started(fleet)
+    start = status(fleet, "h00").start
+    assert start is not None
+    assert start.hosts == [far]
+    fleet.boot(far)
+    fleet.run(5.0)
+    assert started(fleet)
+
+
+def test_until_done_waits_as_long_as_the_start_does(tmp_path: Path) -> None:
+    fleet = Fleet(mission(tmp_path), 1, lost_after=3.0)
+    fleet.power_off("carol")
+    fleet.run(60.0)
+    assert {"alpha", "bravo"} <= fleet.lives.keys()
+    fleet.boot("carol")
+    fleet.run(20.0)
+    assert fleet.left == dict.fromkeys(fleet.mission.team.hosts, 0)
+
+
+FLIES = """
+resource Post {
+    Mavlink fc;
+    init(string[] arg) { }
+    portal work(real seconds) emit int { sleep(seconds); return 1; }
+}
+coordinator Boss {
+    init(string[] arg) { print("begins"); findPost("two").work(0.1); print("ends"); }
+}
+"""
+
+
+@pytest.mark.parametrize("keeps", [True, False])
+def test_an_orderly_restart_while_a_vehicle_is_off_the_ground_begins_nothing_anew(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, keeps: bool
+) -> None:
+    (tmp_path / "mission.L").write_text(FLIES)
+    (tmp_path / "mission.dL").write_text("//Boss:boss@alpha\n//Post:two@bravo\n")
+    fleet = Fleet(load_mission(tmp_path / "mission.dL", simulate=True), 1, keeps=keeps)
+    fleet.run(5.0)
+    assert said(fleet, "boss: begins") == said(fleet, "boss: ends") == 1
+    # The coordinator has ended and its vehicle flies on.
+    monkeypatch.setitem(hardware.VALUES, "boolean", False)  # type: ignore[arg-type]  # it is a dict
+    fleet.run(1.0)
+    fleet.stop("alpha")
+    fleet.run(2.0)
+    fleet.boot("alpha")
+    fleet.run(5.0)
+    assert said(fleet, "boss: begins") == 1
+    assert said(fleet, "boss is not started: two.fc of bravo is off the ground", "alpha") == 1
+    # It has landed: nothing takes off again by itself.
+    monkeypatch.setitem(hardware.VALUES, "boolean", True)  # type: ignore[arg-type]
+    fleet.run(30.0)
+    assert said(fleet, "boss: begins") == 1
+    event(fleet, lambda core: core.startup.start([]))
+    fleet.run(1.0)
+    assert said(fleet, "boss: begins") == 2
+
+
+def test_a_start_that_waits_for_hosts_and_for_a_lease_costs_no_processor(tmp_path: Path) -> None:
+    """What is due for the log is not looked at again and again while something else is waited for."""
+    text = PROGRAM.replace('print("begins");', 'heartbeatInterval(3.0); print("begins");')
+    made = mission(tmp_path, text=text)
+    fleet = Fleet(made, 1)
+    for name in ("bravo", "carol", "dora"):
+        fleet.power_off(name)
+    fleet.run(5.0)
+    core = fleet.lives["alpha"].core
+    runs, run = [0], core.run
+
+    def counted() -> float | None:
+        runs[0] += 1
+        return run()
+
+    core.run = counted  # type: ignore[method-assign]
+    fleet.boot("dora")
+    fleet.boot("bravo")
+    fleet.run(30.0)
+    fleet.power_off("dora")
+    fleet.power_off("bravo")
+    fleet.run(60.0)
+    assert not started(fleet)
+    assert runs[0] < 90.0 * 60

@@ -1,0 +1,182 @@
+"""`within` bounds what it encloses, whatever hosts cannot be reached. Whole hosts, in virtual time."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from lfield.mission.load import load_mission
+from lfield.simulate.fleet import Fleet, copies
+from lfield.wire.observing import Pause
+
+PROGRAM = """
+resource Post {
+    init(string[] arg) { }
+    portal work(int number, real seconds) emit int {
+        write("sets " + i2s(number) + "\\n");
+        sleep(seconds);
+        write("gives " + i2s(number) + "\\n");
+        return 10 * number;
+    }
+    portal tidies(real seconds) {
+        try { sleep(60.0); } catch (CancelledException e) { sleep(seconds); throw e; }
+    }
+    portal synchronized alone(real seconds) { sleep(seconds); }
+}
+coordinator Boss {
+    init(string[] arg) {
+        int[] got = new int[2];
+        sleep(3.0);
+        print("asks");
+        string how = "came back";
+        try {
+            //body
+        } catch (TimeLimitException e) { how = "time limit: " + e.message(); }
+          catch (Exception e) { how = "else: " + e.message(); }
+        print("boss: " + how);
+        sleep(100.0);
+    }
+}
+"""
+BOTH = """within (4.0) { together {
+                got[0] = findPost("one").work(1, ONE);
+                got[1] = findPost("two").work(2, TWO);
+            } }"""
+TEAM = "//Post:zero@alpha\n//Post:one@bravo\n//Post:two@carol\n//Boss:boss@alpha\n"
+
+Event = Callable[[Fleet], None]
+
+
+def island(host: str, *, quietly: bool = False) -> Event:
+    """Nobody can reach a host; `quietly`: its links seem to stand."""
+
+    def happens(fleet: Fleet) -> None:
+        for other in fleet.machines:
+            if other != host and quietly:
+                fleet.network.silence(host, other)
+                fleet.network.silence(other, host)
+            elif other != host:
+                fleet.cut(host, other)
+
+    return happens
+
+
+def ends(folder: Path, body: str, script: dict[float, Event], within: float = 60.0) -> tuple[float, str]:
+    """After how many seconds the block has ended, and how; events are by seconds since then."""
+    (folder / "mission.L").write_text(PROGRAM.replace("//body", body))
+    (folder / "mission.dL").write_text(TEAM)
+    fleet = Fleet(load_mission(folder / "mission.dL", simulate=True), 1)
+    fleet.run(1.0)
+    while not (asked := [at for at, _, text in fleet.log if "boss: asks" in text]):
+        fleet.run(0.01)
+        # Events before the block happen when the coordinator has just been started.
+        for at in [at for at in script if at < 0]:
+            script.pop(at)(fleet)
+    try:
+        while fleet.now < asked[0] + within:
+            for at in [at for at in script if fleet.now - asked[0] >= at]:
+                script.pop(at)(fleet)
+            fleet.run(0.02)
+            assert all(len(hosts) == 1 for hosts in copies(fleet).values()), "two copies run"
+            for at, _, text in fleet.log:
+                if "boss: boss: " in text:
+                    assert sum("sets 1" in line for _, _, line in fleet.log) <= 1
+                    return at - asked[0], text.split("boss: boss: ")[1].strip()
+    finally:
+        fleet.close()
+    return within, "it has not ended"
+
+
+def of(one: float, two: float) -> str:
+    return BOTH.replace("ONE", str(one)).replace("TWO", str(two))
+
+
+@pytest.mark.parametrize(
+    ("body", "script"),
+    [
+        # Both are under way, and the host of one is cut off: at the begin, in the middle, at the very end.
+        (of(20.0, 20.0), {0.5: island("bravo")}),
+        (of(20.0, 20.0), {3.9: island("bravo")}),
+        (of(0.5, 20.0), {1.0: island("bravo")}),
+        (of(20.0, 0.5), {0.2: island("bravo")}),
+        # It cannot be reached from the beginning, or its link is silent for longer than a sign of life takes.
+        (of(0.5, 0.5), {-1.0: island("carol")}),
+        (of(0.5, 0.5), {-1.0: island("bravo")}),
+        (of(20.0, 20.0), {1.5: island("bravo", quietly=True)}),
+        # One inside the other: the nearer end counts, and no catch inside keeps it.
+        (f"within (30.0) {{ {of(20.0, 20.0)} }}", {0.5: island("bravo")}),
+        (of(20.0, 20.0).replace("4.0", "30.0").join(("within (4.0) { ", " }")), {0.5: island("bravo")}),
+        # What else waits for a host.
+        ('within (4.0) { findPost("one").work(1, 0.5); }', {-1.0: island("bravo")}),
+        ('within (4.0) { reserve (findPost("one")) { sleep(1.0); } }', {-1.0: island("bravo")}),
+        ("within (4.0) { sleep(60.0); }", {}),
+        ('within (4.0) { findPost("zero").alone(60.0); }', {}),
+        ("within (4.0) { while (true) { findPost(); yield(); } }", {}),
+    ],
+)
+def test_a_block_ends_with_its_time_though_a_host_cannot_be_reached(
+    tmp_path: Path, body: str, script: dict[float, Event]
+) -> None:
+    seconds, how = ends(tmp_path, body, dict(script))
+    # The clocks of the hosts differ by a hundredth at most.
+    assert seconds == pytest.approx(4.0, abs=0.1), how
+    assert how.startswith("time limit: the time is over"), how
+    assert "late" not in how
+
+
+def test_leaving_a_together_by_an_exception_is_bounded_by_the_limit_around_it(tmp_path: Path) -> None:
+    body = """within (4.0) { together {
+                got[0] = findPost("one").work(1, 20.0);
+                sleep(1.0);
+                got[1] = findPost("two").work(2, 20.0);
+                findPost("zero").work(7 / (got.length() - 2), 1.0);
+            } }"""
+    seconds, how = ends(tmp_path, body, {0.5: island("bravo")})
+    assert seconds < 4.1, how
+    assert how.startswith(("else: division by zero", "time limit: "))
+
+
+def test_a_copy_in_doubt_stays_and_the_exception_says_by_how_much_it_is_late(tmp_path: Path) -> None:
+    """It has been sent when the links fall silent: nothing is sent twice, and nothing is taken back."""
+    body = of(0.5, 0.5)
+    seconds, how = ends(
+        tmp_path, body, {0.0: island("carol", quietly=True), 12.0: lambda fleet: fleet.heal_all()}
+    )
+    assert seconds > 12.0
+    late = re.match(r"time limit: the time is over, ([0-9.]+) s late(.*)", how)
+    assert late is not None, how
+    assert float(late[1]) == pytest.approx(seconds - 4.0, abs=0.2)
+    assert late[2].startswith((" since it was sent to carol", " since it was on its way", ": "))
+
+
+def test_a_call_that_takes_long_to_be_cancelled_makes_the_block_late_and_that_is_said(tmp_path: Path) -> None:
+    seconds, how = ends(tmp_path, 'within (4.0) { findPost("zero").tidies(2.0); }', {})
+    assert seconds == pytest.approx(6.0, abs=0.1)
+    assert how == (
+        "time limit: the time is over; zero.tidies() was cancelled, 2.0 s late since it took so long to end"
+    )
+    together = 'within (4.0) { together { findPost("one").tidies(2.0); findPost("two").tidies(1.0); } }'
+    seconds, how = ends(tmp_path, together, {})
+    assert seconds == pytest.approx(6.0, abs=0.2)
+    assert re.search(r"; the block ends (1\.9|2\.[01]) s late since it waited for its calls$", how), how
+
+
+def test_a_finally_is_not_cut_short_and_the_exception_says_what_that_has_cost(tmp_path: Path) -> None:
+    body = "within (4.0) { try { sleep(3.0); } finally { sleep(3.0); } sleep(60.0); }"
+    seconds, how = ends(tmp_path, body, {})
+    assert seconds == pytest.approx(6.0, abs=0.1)
+    why = "since a finally that has begun is not cut short"
+    assert re.match(rf"time limit: the time is over, (1\.9|2\.[01]) s late {why}", how), how
+
+
+def test_a_host_that_is_paused_does_not_keep_a_block_beyond_its_time(tmp_path: Path) -> None:
+    def pause(fleet: Fleet) -> None:
+        life = fleet.lives["bravo"]
+        life.process.loop.enter(lambda: life.host._enter(lambda: life.core.pause(on=True)))
+
+    assert Pause().lift is False
+    seconds, how = ends(tmp_path, of(20.0, 20.0), {1.0: pause})
+    assert seconds == pytest.approx(4.0, abs=0.1), how

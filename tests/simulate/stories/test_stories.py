@@ -1,0 +1,106 @@
+"""Stories of orders of a person, of wrecks, of split and large teams, and of slow computers."""
+
+from __future__ import annotations
+
+import gc
+import random
+from collections import Counter
+from dataclasses import replace
+
+import pytest
+
+from lfield.host.host import Host
+from lfield.mobility.neighbours import Neighbourhood
+from lfield.simulate.fleet import Fleet
+from lfield.simulate.judging.judge import Judge
+from lfield.simulate.operator import Operator
+from lfield.simulate.seeds import told
+from lfield.simulate.stories.drawing import KINDS, drawn, under_orders
+from lfield.simulate.stories.shrink import command
+from lfield.simulate.stories.story import FOR_EVER, plain
+from lfield.simulate.stories.trial import tell
+
+
+@pytest.mark.few(2)
+@pytest.mark.parametrize("kind", ["split", "wrecked", "crowd", "flown"])
+def test_rarer_stories_keep_every_promise(kind: str) -> None:
+    seen = Counter[str]()
+    for seed in range(3):
+        verdict = told(seed, KINDS[kind])
+        assert not verdict.breaches, f"{verdict.breaches[0]}: {command(verdict.story)}"
+        seen.update(calls=verdict.calls, **verdict.orders)
+    assert seen["calls"] > 20
+    assert kind != "wrecked" or seen["recover"] + seen["forget"] > 0
+
+
+def test_hosts_keep_what_they_confirm_to_a_person() -> None:
+    seen = Counter[str]()
+    for seed in range(6):
+        story = under_orders(replace(plain(seed), journals=True), random.Random(seed))
+        verdict = tell(story)
+        assert not verdict.breaches, verdict.breaches[0]
+        seen.update(verdict.orders)
+    assert min(seen["stop"], seen["pause"]) > 3
+
+
+def test_seeds_draw_stories_of_all_kinds() -> None:
+    stories = [drawn(seed) for seed in range(400)]
+    assert {story.kind for story in stories} == KINDS.keys()
+    struck = {kind for story in stories for kind in story.means}
+    assert {"estop", "pause", "wreck", "split"} <= struck
+    assert {story.slowness for story in stories} > {1.0}
+
+
+def test_a_team_of_more_than_nine_hosts_has_links_with_neighbours_only() -> None:
+    mission = KINDS["crowd"](0).mission
+    hosts = mission.team.hosts
+    assert len(Neighbourhood(hosts, 0).near) < len(hosts) - 1
+
+
+def test_code_takes_processor_time_on_a_slow_computer() -> None:
+    """So a host that runs much code comes late with all that it does."""
+    story = replace(plain(1), keep=frozenset(), hosts=3, walkers=3, arms=0, calls=FOR_EVER, stay=0.04)
+    calls = []
+    for slowness in (1.0, 1000.0):
+        judge = Judge()
+        judge.fleet = Fleet(story.mission, 1, born=judge.born, slowness=slowness)
+        judge.fleet.run(8.0)
+        calls.append(judge.calls)
+        judge.fleet.close()
+    assert calls[1] < 0.5 * calls[0]
+
+
+def test_a_person_stops_and_pauses_a_team_until_that_is_taken_back() -> None:
+    story = replace(plain(1), keep=frozenset(), hosts=3, walkers=1, arms=1, calls=FOR_EVER, stay=0.04)
+    judge = Judge()
+    fleet = judge.fleet = Fleet(story.mission, 1, born=judge.born)
+    operator = Operator(fleet, judge.orders, random.Random(1))
+    fleet.run(4.0)
+    operator.press("pause", 3.0)
+    fleet.run(1.0)
+    paused, calls = [life.core.coordinators.paused for life in fleet.lives.values()], judge.calls
+    fleet.run(1.0)
+    assert paused == [True] * 3
+    assert judge.calls == calls
+    operator.press("stop", 20.0)
+    fleet.run(4.0)
+    assert {life.core.coordinators.stopped for life in fleet.lives.values()} != {""}
+    assert not any(life.core.coordinators.paused for life in fleet.lives.values())
+    assert judge.calls > calls
+    operator.free_all()
+    fleet.run(1.0)
+    assert {life.core.coordinators.stopped for life in fleet.lives.values()} == {""}
+    assert operator.carried_out == {"pause": 3, "stop": 3}
+    judge.look()
+    assert not judge.breaches
+    fleet.close()
+
+
+def test_a_story_leaves_nothing_in_memory() -> None:
+    """What the processes of a simulation leave is freed with it: 2,000 stories fit into one process."""
+    gc.collect()
+    before = sum(isinstance(found, Host) for found in gc.get_objects())
+    verdict = told(0)
+    assert verdict.calls
+    gc.collect()
+    assert sum(isinstance(found, Host) for found in gc.get_objects()) == before
