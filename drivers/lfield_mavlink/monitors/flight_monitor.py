@@ -18,7 +18,7 @@ from lfield_mavlink.monitors.position import PositionMonitor
 from lfield_mavlink.monitors.target import DepartureMonitor, TargetMonitor
 from lfield_mavlink.services.parameters import Parameters
 from lfield_mavlink.setpoints.orders import Order
-from lfield_mavlink.setpoints.target import ONLY_POSITION, POSITION_AND_YAW, Target
+from lfield_mavlink.setpoints.trajectory import ONLY_POSITION, POSITION_AND_YAW, Target
 
 #: Seconds until it is known what became of a vehicle whose motors went off in the air.
 SETTLES = 2.5
