@@ -164,9 +164,8 @@ def test_a_lock_out_is_kept_until_an_operator_ends_it():
     async def story():
         output = Output()
         shell = guard_of(Lift, output)
-        shell.data_received(
-            encode(Open([_binding()], "", 99.0, known_thing(*CALLS, RELEASE, telemetry=(HEIGHT,))))
-        )
+        thing = known_thing(*CALLS, RELEASE, telemetry=(HEIGHT,))
+        shell.data_received(encode(Open([_binding()], "", 99.0, thing)))
         await asyncio.sleep(2 / RATE)
         for token, name in enumerate(("tumble", "release", "rise"), 1):
             sent = now().monotonic()

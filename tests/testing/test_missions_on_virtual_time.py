@@ -71,7 +71,7 @@ def test_a_dead_motor_and_an_empty_battery_are_what_the_driver_tells_of(lfield_m
     team.at(15.0, lambda: team.fake("lead.fc").set("motor_failure=true"))
     team.run(until_done=True)
     assert team.said("Potential Thrust Loss", "alpha")
-    assert team.said("the motors are off")
+    assert team.said("ended early: the autopilot says: Potential Thrust Loss")
     assert team.said("wing 47 %") or team.said("wing 48 %")
     assert [mark.device for mark in team.marks] == ["lead.fc"]
 
