@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
@@ -20,7 +21,8 @@ class Device:
     `fake` are the words of its fake, `field` its field in the `resource` of moves.L that moves it, `binding`
     what its binding says beside the endpoint. `safe` compares what was so when the death came with what is
     so: a new goal is what tells a servo that holds from one that goes on. `own` says whether its own watchdog
-    has acted.
+    has acted. Within `bound` seconds it must be safe when its guard is dead; beside a `station` it hears the
+    heartbeats of a ground station on another link.
     """
 
     name: str
@@ -32,6 +34,8 @@ class Device:
     at_rest: Callable[[Facts], bool]
     own: Callable[[Facts], bool]
     ways: Sequence[str] = (SETPOINTS, MOVE)
+    bound: float = math.inf
+    station: bool = False
 
     @property
     def bindings(self) -> str:
@@ -45,12 +49,18 @@ def _still(now: Facts) -> bool:
     return now["moving"] == "no"
 
 
-#: What 'lfield setup' leaves in them for a binding that lands, written so that older fakes take it too.
-SET_UP = ("FS_GCS_ENABLE=5", "FS_GCS_TIMEOUT=2", "GUID_TIMEOUT=1", "FS_OPTIONS=24")
-SET_UP_PX4 = ("COM_OBL_RC_ACT=4", "COM_FAIL_ACT_T=0", "COM_DL_LOSS_T=5", "NAV_DLL_ACT=3")
+#: What 'lfield setup' leaves in them for a binding that lands: of vehicle 1, whose station is 128.
+SET_UP = ("FS_GCS_ENABLE=5", "FS_GCS_TIMEOUT=2", "GUID_TIMEOUT=1", "FS_OPTIONS=24", "MAV_GCS_SYSID=128")
+SET_UP_ROVER = ("FS_GCS_ENABLE=1", "FS_ACTION=2", "FS_GCS_TIMEOUT=2", "FS_TIMEOUT=1", "MAV_GCS_SYSID=128")
+SET_UP_PX4 = (
+    "COM_OBL_RC_ACT=4", "COM_FAIL_ACT_T=0", "COM_DL_LOSS_T=5", "NAV_DLL_ACT=3", "COM_OF_LOSS_T=1",
+    "COM_RC_OVERRIDE=3",
+)  # fmt: skip
 
 
-def _copter(name: str, flavour: str, land: str, ttl: float, *more: str) -> Device:
+def _copter(
+    name: str, flavour: str, land: str, ttl: float, bound: float, *more: str, station: bool = False
+) -> Device:
     # Low and brisk, so that a landing takes no longer than it must; a battery that lasts for all trials.
     words = f"mavlink --listen udp:127.0.0.1:0 --flavour {flavour} --climb 5 --descend 2.4 --land 1.9"
     kept = [word for setting in more for word in ("--param", setting)]
@@ -63,13 +73,37 @@ def _copter(name: str, flavour: str, land: str, ttl: float, *more: str) -> Devic
         safe=lambda _, now: now["mode"] == land or now["airborne"] == "no",
         at_rest=lambda now: now["armed"] == "no" and now["airborne"] == "no",
         own=lambda now: now["failsafe"] == "yes",
+        bound=bound,
+        station=station,
+    )
+
+
+def _rover(name: str, *, station: bool = False) -> Device:
+    kept = [word for setting in SET_UP_ROVER for word in ("--param", setting)]
+    return Device(
+        name,
+        ["mavlink", "--listen", "udp:127.0.0.1:0", "--kind", "rover", "--capacity", "900000", *kept],
+        "Rover",
+        "fc",
+        "driver: mavlink, kind: rover, safe_state: land, ttl: 1.5",
+        safe=lambda _, now: now["mode"] == "HOLD",
+        at_rest=_still,
+        own=lambda now: now["failsafe"] == "yes",
+        bound=4.0,
+        station=station,
     )
 
 
 #: With times to live for which each device's own watchdog can be set (an ODrive's is in its configuration).
 DEVICES = (
-    _copter("ArduCopter", "ardupilot", "LAND", 1.0, *SET_UP),
-    _copter("PX4", "px4", "AUTO.LAND", 3.5, *SET_UP_PX4, "COM_DISARM_LAND=0.1"),
+    _copter("ArduCopter", "ardupilot", "LAND", 1.0, 3.0, *SET_UP),
+    _copter("ArduCopter beside a station", "ardupilot", "LAND", 1.0, 3.0, *SET_UP, station=True),
+    _rover("Rover"),
+    _rover("Rover beside a station", station=True),
+    _copter("PX4", "px4", "AUTO.LAND", 0.5, 2.0, *SET_UP_PX4, "COM_DISARM_LAND=0.1"),
+    _copter(
+        "PX4 beside a station", "px4", "AUTO.LAND", 0.5, 2.0, *SET_UP_PX4, "COM_DISARM_LAND=0.1", station=True
+    ),
     Device(
         "CiA 402",
         ("can", "--device", "cia402:5"),

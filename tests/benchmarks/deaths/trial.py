@@ -31,6 +31,7 @@ EARLIEST, LATEST = 0.3, 1.8
 STARTS, LAST_WORDS = 10, 6
 #: So many hosts start at a time: most of it is a second in which each measures how late it is.
 STARTING = 5
+_STATION = Path(__file__).with_name("station.py")
 _PROGRAM = Path(__file__).with_name("moves.L").read_text(encoding="utf-8")
 
 
@@ -80,6 +81,8 @@ class Subject:
         folder = processes.folder()
         endpoint = checkout.fake(processes, *device.fake, "--log", str(folder / "device.log"))
         self.log = DeviceLog(folder / "device.log")
+        if device.station:
+            checkout.run(processes, str(_STATION), endpoint)
         # Bundles, so that no trial compiles.
         self._bundles = {
             (way, silence): self._build(processes, way, self.device.bindings % (endpoint, silence))
@@ -199,6 +202,8 @@ class Trial:
         self.outcome.told = [f"{change.at - death:.3f} {change}" for change in log.changes]
         if verdict.safe is None:
             self.outcome.why = f"not safe within {SAFE_WITHIN:g} s"
+        elif "guard" in self._death.who and verdict.safe > device.bound:
+            self.outcome.why = f"safe after {verdict.safe:.1f} s; {device.bound:g} s are its bound"
         elif verdict.rest is None:
             self.outcome.why = f"safe, but not at rest within {REST_WITHIN:g} s"
 
