@@ -27,7 +27,6 @@ TABLES: dict[str, str] = {
 #: Shorter than others, each one idea that nothing else is about.
 SMALL = {
     "drivers/lfield_mavlink/link/events.py": "what a link reports to its driver",
-    "drivers/lfield_mavlink/setpoints/target.py": "one setpoint and its message",
     "lfield/driver/network/attempts.py": "the pauses between attempts to connect, and their log lines",
     "sim-adapters/lfield_sim/autopilot/watch/sticks.py": "a pilot's sticks",
     "sim-adapters/lfield_sim/mavlink/telemetry/targets.py": "the targets that an autopilot reports",
