@@ -28,7 +28,6 @@ TABLES: dict[str, str] = {
 SMALL = {
     "drivers/lfield_mavlink/link/events.py": "what a link reports to its driver",
     "lfield/driver/network/attempts.py": "the pauses between attempts to connect, and their log lines",
-    "sim-adapters/lfield_sim/mavlink/telemetry/targets.py": "the targets that an autopilot reports",
     "lfield/authority/keys.py": "keys as bytes, and the names of their files",
     "lfield/authority/minted.py": "keys of one run, in memory",
     "lfield/authority/pages/making_pages.py": "where the folder of an authority has pages",
