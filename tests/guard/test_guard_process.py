@@ -29,7 +29,7 @@ from lfield.testing.driver_bench import RunningFake, guarded, running_fake
 pytestmark = pytest.mark.process
 
 #: A fake that flies fast, so that a flight takes seconds.
-BRISK = ["--climb", "8", "--cruise", "15", "--descend", "8", "--land", "6", "--acceleration", "15"]
+BRISK = ["--climb", "8", "--cruise", "15", "--descend", "2.4", "--land", "1.9", "--acceleration", "15"]
 
 
 def plugins() -> Plugins:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from kit_findings import failed, not_run
 
-FAST = ("--climb", "8", "--cruise", "15", "--descend", "8", "--land", "6", "--acceleration", "15")
+FAST = ("--climb", "8", "--cruise", "15", "--descend", "2.4", "--land", "1.9", "--acceleration", "15")
 LIMITS = "limits: {speed: 5.0, altitude: 20.0, radius: 50.0}"
 #: Fakes are switched on 300 m north of this origin and 20 m above it; the pose is turned to the east.
 PLACES = {

@@ -7,7 +7,7 @@ import asyncio
 from kit_findings import failed, not_run
 from pymavlink.dialects.v20 import common as mavlink
 
-FAST = ("--climb", "8", "--cruise", "15", "--descend", "8", "--land", "6", "--acceleration", "15")
+FAST = ("--climb", "8", "--cruise", "15", "--descend", "2.4", "--land", "1.9", "--acceleration", "15")
 WAIVED = "waivers: [device_watchdog]"
 LIMITS = "limits: {speed: 5.0, altitude: 20.0, radius: 50.0}"
 

@@ -179,7 +179,7 @@ def test_what_cannot_be_tried_is_said_in_a_sentence(given, only, said):
 
 @pytest.mark.process
 def test_a_check_runs_on_a_vehicle_that_runs_already_and_is_in_the_table():
-    with running_fake("mavlink", "--listen", "udp:127.0.0.1:0", "--climb", "8", "--land", "6") as fake:
+    with running_fake("mavlink", "--listen", "udp:127.0.0.1:0", "--climb", "8", "--land", "1.9") as fake:
         told = checked(fake.endpoint, "left")
     assert told.returncode == 0, told.stdout
     assert "up refused a stock vehicle and named lfield setup" in told.stdout

@@ -52,7 +52,7 @@ SET_UP_PX4 = ("COM_OBL_RC_ACT=4", "COM_FAIL_ACT_T=0", "COM_DL_LOSS_T=5", "NAV_DL
 
 def _copter(name: str, flavour: str, land: str, ttl: float, *more: str) -> Device:
     # Low and brisk, so that a landing takes no longer than it must; a battery that lasts for all trials.
-    words = f"mavlink --listen udp:127.0.0.1:0 --flavour {flavour} --climb 5 --descend 3 --land 3"
+    words = f"mavlink --listen udp:127.0.0.1:0 --flavour {flavour} --climb 5 --descend 2.4 --land 1.9"
     kept = [word for setting in more for word in ("--param", setting)]
     return Device(
         name,

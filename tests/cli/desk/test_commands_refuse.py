@@ -285,7 +285,9 @@ def test_a_machine_that_is_in_the_deployment_needs_no_host_option(lfield):
 
 def test_a_host_named_by_a_loopback_address_is_this_machine(lfield):
     deployment = lfield.mission(
-        GOOD, "//Bell:bell@127.0.0.1\n//Bell:other@192.0.2.7\n//Ringer:tom@127.0.0.1?bell\n"
+        GOOD,
+        "//Bell:bell@127.0.0.1\n//Bell:other@192.0.2.7\n//Ringer:tom@127.0.0.1?bell\n",
+        "start: {without: [192.0.2.7]}\n",
     )
     maps = lfield.maps(["127.0.0.1"])
     done = lfield("up", "--deploy", deployment, *maps, "--until-done", "--first-start")

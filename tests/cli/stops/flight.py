@@ -29,7 +29,8 @@ CLIMB = ("--climb", "6", "--acceleration", "10")
 #: Three metres at this speed take some seconds.
 SLOW = ("--land", "0.5", "--descend", "0.5")
 SLOWEST = ("--land", "0.25", "--descend", "0.25")
-BRISK = ("--land", "6", "--descend", "6")
+#: A copter that touches down faster than 2 m/s has crashed.
+BRISK = ("--land", "1.9", "--descend", "2.4")
 
 
 def devices(endpoints: dict[str, str], within: float, heap: str = "1 MiB") -> str:

@@ -102,7 +102,7 @@ def test_all_that_a_host_tells_as_json_and_as_a_table(capsys):
             "up": 2.5,
             "program": "70" * 8,
             "deployment": "64" * 8,
-            "bundle": {"digest": "000102030405", "signed_by": "anna\x1b", "signed": 1_795_464_000.0},
+            "bundle": {"digest": "0001020304050607", "signed_by": "anna\x1b", "signed": 1_795_464_000.0},
             "agents": [
                 {
                     "id": "near",
@@ -145,6 +145,8 @@ def test_all_that_a_host_tells_as_json_and_as_a_table(capsys):
             "paused": False,
             "stopped": "",
             "unkept": "",
+            "refused": [],
+            "start": None,
             "journal": None,
             "begun": [],
             "reserved": [],
@@ -171,7 +173,7 @@ def test_all_that_a_host_tells_as_json_and_as_a_table(capsys):
         ["alpha", "near.arm", "safe:", "4", "m", "up"],
         ["alpha", "near.eye", "silent", "4", "s", "mode", "hold"],
     ]
-    signed = "bundle 000102030405, signed by anna\\u{1b} 2026-11-23 20:00 UTC: alpha"
+    signed = "bundle 0001020304050607, signed by anna\\u{1b} 2026-11-23 20:00 UTC: alpha"
     assert rows[-1] == signed.split()
 
 
