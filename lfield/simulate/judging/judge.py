@@ -18,6 +18,7 @@ from __future__ import annotations
 import math
 from collections import defaultdict
 from dataclasses import dataclass, field
+from functools import partial
 
 from lfield.journal.pages import CopyPage, Fence, Page
 from lfield.mobility.generations import is_recovery
@@ -30,7 +31,7 @@ from lfield.simulate.judging.orders import Orders
 from lfield.simulate.judging.reserved import Reserved
 from lfield.simulate.judging.results import Results
 from lfield.simulate.judging.saved import nowhere, shadowed
-from lfield.simulate.judging.terminated import Terminated
+from lfield.simulate.judging.terminated import Terminated, latest_start
 from lfield.simulate.judging.witness import tap, tap_meter
 from lfield.vm.agent import Agent
 from lfield.wire.coordinators import Transfer
@@ -85,7 +86,7 @@ class Judge:
         self.orders = Orders(self.breaches, lambda: self.fleet.now, lambda: self.fleet.keeps)
         self.told = self._blocks.told
         self._devices = Devices(self.breaches, self._made_for, self._newest_at, self.reserved.commanded)
-        self._terminated = Terminated(self.breaches, lambda: self.fleet, self._starts.keys())
+        self._terminated = Terminated(self.breaches, lambda: self.fleet, partial(latest_start, self._starts))
         self.given, self.dropped = self.reserved.given, self.reserved.dropped
         self.asked, self.renewed = self.reserved.asked, self.reserved.renewed
         #: How much was seen: a judge who sees nothing finds nothing.

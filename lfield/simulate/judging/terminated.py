@@ -26,13 +26,18 @@ from lfield.wire.quorum import Promise, Propose
 OUTCOMES = ("done", "died")
 
 
+def latest_start(starts: Collection[tuple[str, int]], agent: str, below: int) -> int:
+    """The last start of an agent before number `below`, 0 for none."""
+    return max((start for name, start in starts if name == agent and start < below), default=0)
+
+
 class Terminated:
     """The terminations of a team. `latest` gives the last start of an agent before a generation."""
 
     def __init__(
-        self, breaches: Breaches, fleet: Callable[[], Fleet], starts: Collection[tuple[str, int]]
+        self, breaches: Breaches, fleet: Callable[[], Fleet], latest: Callable[[str, int], int]
     ) -> None:
-        self._breaches, self._fleet, self._starts = breaches, fleet, starts
+        self._breaches, self._fleet, self._latest = breaches, fleet, latest
         #: The newest start of each agent whose termination is final, and since when.
         self._final: dict[str, tuple[int, float]] = {}
         #: The newest start of each agent of whose termination each life has received a message.
@@ -120,8 +125,7 @@ class Terminated:
 
     def _on_recovery(self, life: Life, agent: str, generation: int, *, by_operator: bool) -> None:
         self.look()
-        earlier = (start for name, start in self._starts if name == agent and start < generation)
-        latest, host = max(earlier, default=0), (life.core.name,)
+        latest, host = self._latest(agent, generation), (life.core.name,)
         final, since = self._final.get(agent, (0, 0.0))
         known = self._fleet().mission.recovery.lease if by_operator else 0.0
         if final >= latest > 0 and self._fleet().now - since >= known:
