@@ -10,7 +10,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
-from lfield_sim.autopilot.body.goals import ZERO, Circle, Goal, Keep, Lean, Reach, Vector
+from lfield_sim.autopilot.body.goals import ZERO, Circle, Fall, Goal, Keep, Lean, Reach, Vector
 from lfield_sim.autopilot.flavours import Control, Kind, Result, Role
 from lfield_sim.autopilot.flight import fly, suffer
 from lfield_sim.autopilot.lifting import begin_takeoff, disarm_when_idle, rise
@@ -275,7 +275,8 @@ class Autopilot(Pilot):
         self.setpoint_at = self.now
         # An ArduCopter on the ground follows no setpoint: it takes a takeoff to leave it.
         lifted = self.vehicle.airborne or not self.flies or self.flavour.needs_stream
-        if self.role is not Role.GUIDED or not self.armed or not lifted:
+        falls = self.motor_failed and isinstance(self.vehicle.goal, Fall)
+        if self.role is not Role.GUIDED or not self.armed or not lifted or falls:
             return
         if isinstance(setpoint.goal, Lean) and self.flavour.ignored_text:
             self.say(self.flavour.ignored_text)
