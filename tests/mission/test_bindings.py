@@ -326,3 +326,48 @@ def test_a_driver_that_is_not_installed_here_is_asked_nothing(written, plugins):
     path = written(ENDPOINTS.format(", endpoint: 'foo:bar'"))
     assert read_bindings(path, NEEDED, KnownDrivers({"mavlink": elsewhere})).devices["alpha"]
     assert "'foo:bar' is not an endpoint" in problems(path, KnownDrivers({"mavlink": there}))
+
+
+WAIVED = """\
+agents:
+  alpha: {devices: {fc: {driver: mavlink, endpoint: "udp:127.0.0.1:14550", waivers: %s}}}
+  beta: {devices: {fc: {driver: mavlink, endpoint: "udp:127.0.0.1:14560", system: 2}}}
+"""
+
+
+@pytest.mark.parametrize(
+    ("waivers", "names", "reasons"),
+    [
+        ("[device_watchdog]", ["device_watchdog"], {}),
+        ("{autonomous_motion: a pilot}", ["autonomous_motion"], {"autonomous_motion": "a pilot"}),
+        (
+            "[device_watchdog, {autonomous_motion: a pilot}]",
+            ["device_watchdog", "autonomous_motion"],
+            {"autonomous_motion": "a pilot"},
+        ),
+        ("", [], {}),
+    ],
+)
+def test_a_waiver_may_have_a_reason(written, plugins, waivers, names, reasons):
+    found = read_bindings(written(WAIVED % waivers), NEEDED, plugins)
+    alpha = found.devices["alpha"]["fc"]
+    assert (alpha.waivers, alpha.reasons) == (names, reasons)
+
+
+@pytest.mark.parametrize(
+    ("waivers", "told"),
+    [
+        ("[autonomous_motion]", "error[Y110]: 'autonomous_motion' is waived without a reason"),
+        ("{autonomous_motion: ' '}", "error[Y110]: 'autonomous_motion' is waived without a reason"),
+        ("{autonomous: why}", "error[Y113]: there is nothing called 'autonomous' to waive"),
+        ("[3]", "error[Y112]: 'waivers' must be names, or names with a reason each"),
+        ("device_watchdog", "error[Y112]: 'waivers' must be names, or names with a reason each"),
+    ],
+)
+def test_a_waiver_that_needs_a_reason_has_one(written, plugins, waivers, told):
+    assert told in problems(written(WAIVED % waivers), plugins)
+
+
+def test_a_station_is_no_ground_station_of_others(written, plugins):
+    text = (WAIVED % "[device_watchdog]").replace("system: 2", "system: 2, station: 255")
+    assert "'station' must be from 0 to 254, not 255" in problems(written(text), plugins)
