@@ -65,7 +65,7 @@ def status_of(
         program=core.mission.program.digest,
         deployment=core.team.deployment,
         agents=[_agent(agent, core) for agent in core.machine.agents.values()],
-        coordinators=core.mobility.knowledge(),
+        coordinators=core.coordinators.keeping.on_record(core.mobility.knowledge(), core.name),
         devices=_devices(guards, now),
         links=[
             *(LinkStatus(host, None) for host in sorted(peers.incarnations)),

@@ -151,6 +151,28 @@ def test_a_member_with_a_new_disk_hears_of_the_end_before_it_promises(tmp_path: 
     assert states(fleet) == {key: [(1, "EXITED", "done")] for key in "abc"}
 
 
+@pytest.mark.parametrize("greets", [False, True], ids=["linked", "linked again"])
+def test_an_end_is_told_to_others_once_it_is_on_the_disk_where_it_happened(
+    tmp_path: Path, *, greets: bool
+) -> None:
+    """They might have it on their disks, where it is final, and boss would go on after a crash of b."""
+    fleet, breaches = judged(mission(tmp_path))
+    fleet.run(0.9)
+    fleet.disks["b"].sync = 60.0
+    run_until_ended(fleet)
+    if greets:
+        fleet.network.reset("b", "c")
+    fleet.run(1.5)
+    assert "EXITED" not in {state for name in "ac" for _, state, _ in states(fleet)[name]}
+    fleet.power_off("b")
+    fleet.disks["b"].sync = 0.002
+    fleet.boot("b")
+    fleet.run(20.0)
+    assert not breaches
+    assert len(said(fleet, "turned 1")) == 2
+    assert states(fleet) == {key: [(1, "EXITED", "done")] for key in "abc"}
+
+
 def test_an_end_that_only_its_host_knows_is_not_final_and_says_nothing_new_afterwards(tmp_path: Path) -> None:
     """The host that has it is cut off from all others: it has no lease, and they go on."""
     fleet, breaches = judged(mission(tmp_path))

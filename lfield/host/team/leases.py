@@ -318,11 +318,15 @@ class Leases:
 
     def _saved_end(self, agent: str) -> Saved | None:
         """The termination of a coordinator of which nothing else is here. It is final once a majority of the
-        members has it on disk, as they confirm to the host where it ended.
+        members has it on disk, as they confirm to the host where it ended. Until it is on disk there, the
+        coordinator counts as one that runs.
         """
         copy = self._team.mobility.termination(agent)
         if copy is None or not copy.outcome:
             return None
+        [told] = self._team.keeping.on_record([copy.known()], self._own.host)
+        if told.state == "RUN":
+            return Saved(Place(copy.generation, copy.sequence, left=False), alive=True, interval=0.0)
         ended = Ended(agent, copy.generation, copy.outcome, copy.detail, copy.ended_on)
         final = copy.ended_on != self._own.host or copy.outcome == "lost"
         if not final:
