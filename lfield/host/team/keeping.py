@@ -97,7 +97,7 @@ class Keeping:
         return agent in self._behind
 
     def on_record(self, rows: Iterable[Known], here: str) -> list[Known]:
-        """What other hosts are told: a start whose termination here, on `here`, is not on disk yet still runs.
+        """What other hosts are told: a start that terminated here, on `here`, runs until that is on disk.
 
         After a crash it would go on here. If others knew of the termination, a majority could have it on
         disk by then, and it would be final.
