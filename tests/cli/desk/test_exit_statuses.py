@@ -204,6 +204,7 @@ sys.exit(main())
 """
 
 
+@pytest.mark.few(3)
 @pytest.mark.parametrize(
     ("module", "command"),
     [

@@ -134,6 +134,7 @@ def test_a_child_of_all_that_was_reaped_is_proof(lfield):
         assert f"{host} | walker is lost: it went to carol (transfer 1), which is gone" in team.err
 
 
+@pytest.mark.few(0)
 def test_a_child_of_all_that_hangs_is_not_heard_of(lfield):
     deployment = lfield.mission(PROGRAM, POSTS + "//Walker:walker@alpha?c&15\n")
     team = lfield.start("up", "--deploy", deployment, "--all", "--until-done")
