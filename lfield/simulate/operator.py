@@ -6,13 +6,14 @@ own. What is held (a stop, a pause) is taken back after a while, and at the end 
 
 from __future__ import annotations
 
+import asyncio
 import random
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Awaitable, Callable, Coroutine, Mapping
 from functools import partial
 from typing import Any, Literal, Protocol
 
-from lfield.errors import CoordinatorAlive, LfieldError, NobodyListens, UsageError
+from lfield.errors import CoordinatorAlive, LfieldError, UsageError
 from lfield.loop import spawn
 from lfield.net.tcp import TcpTransport
 from lfield.operator.addressed import Place
@@ -58,8 +59,8 @@ class Operator:
         #: Until when the buttons of a kind are held, in true time; and how often each was pressed.
         self._held: dict[Hold, float] = {}
         self._presses: Counter[Hold] = Counter()
-        #: The kinds of which a host may still get the end of an earlier order.
-        self._late: set[Hold] = set()
+        #: What takes back an order of a kind, until every host has answered.
+        self._lifting: defaultdict[Hold, set[asyncio.Task[None]]] = defaultdict(set)
         #: What is to be done with coordinators whose host is gone for good.
         self._orphans: dict[str, Callable[[str, _Answers], Awaitable[bool]]] = {}
         self._looks = False
@@ -74,10 +75,10 @@ class Operator:
     def press(self, hold: Hold, seconds: float) -> None:
         """Stop or pause the team, and take that back after so many seconds.
 
-        Nothing happens while the end of an earlier one is under way: what overtakes what is left to chance.
+        While an earlier one is being taken back, that ends: what is on its way already may come later.
         """
-        if hold in self._late:
-            return
+        for task in self._lifting.pop(hold, ()):
+            self._process.loop.enter(task.cancel)
         self._presses[hold] += 1
         self._held[hold] = max(self._held.get(hold, 0.0), self._fleet.now + seconds)
         self._fleet.later(seconds, partial(self._let_go, hold))
@@ -101,14 +102,17 @@ class Operator:
     def _let_go(self, hold: Hold) -> None:
         if self._held.get(hold, self._fleet.now + 1.0) <= self._fleet.now:
             del self._held[hold]
-            self._late.add(hold)
             self._judges.lifting(hold)
             self._begin(partial(self._lift, hold))
 
     async def _lift(self, hold: Hold) -> None:
-        answers = await ask_all(self._transport, self._places, _request(hold, lift=True))
-        if all(isinstance(answer, EmergencyStopped | NobodyListens) for answer in answers.values()):
-            self._late.discard(hold)
+        task = asyncio.current_task()
+        assert task is not None
+        self._lifting[hold].add(task)
+        try:
+            await ask_all(self._transport, self._places, _request(hold, lift=True))
+        finally:
+            self._lifting[hold].discard(task)
         if hold == "stop":
             await self._start()
 

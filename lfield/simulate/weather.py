@@ -21,6 +21,8 @@ from lfield.wire.observing import EmergencyStopped
 LASTS = (0.05, 8.0)
 #: Seconds that something takes on a slow way: what is sent on two connections comes in any order.
 SLOW = (0.3, 2.0)
+#: So much of it is of what a person orders, where there is one.
+SLOW_ORDERS = 0.5
 #: Seconds that a process or a computer stands still for.
 STOPPED = (0.05, 6.0)
 #: For how long a team is split: the majority may go on with what the others have meanwhile.
@@ -212,9 +214,10 @@ class Storm:
         self._silence(fault.one, fault.other, fault.lasts)
 
     def _slow(self, fault: Fault) -> None:
-        self._note(f"slow {fault.one} > {fault.other}")
-        self.fleet.network.ways.slow[fault.one, fault.other] = SLOW
-        self._after(fault.lasts, partial(self._quick, (fault.one, fault.other)))
+        near = "operator" if self.operator is not None and fault.size < SLOW_ORDERS else fault.one
+        self._note(f"slow {near} > {fault.other}")
+        self.fleet.network.ways.slow[near, fault.other] = SLOW
+        self._after(fault.lasts, partial(self._quick, (near, fault.other)))
 
     def _quick(self, way: Way) -> None:
         self.fleet.network.ways.slow.pop(way, None)
