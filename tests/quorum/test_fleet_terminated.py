@@ -28,7 +28,7 @@ resource Valve {
 }
 coordinator Boss {
     init(string[] arg) {
-        heartbeatInterval(3.0);
+        heartbeatInterval(INTERVAL);
         while (true) {
             try {
                 print("turned " + i2s(findValve("v").turn()));
@@ -45,8 +45,9 @@ TEAM = "//Boss:boss@a\n//Valve:v@b\n//@c\n"
 ENDS = {"done": "return;", "died": "throw new Exception();"}
 
 
-def mission(folder: Path, end: str = "done", team: str = TEAM) -> Mission:
-    (folder / "mission.L").write_text(PROGRAM.replace("END", ENDS[end]))
+def mission(folder: Path, end: str = "done", team: str = TEAM, interval: float = 3.0) -> Mission:
+    program = PROGRAM.replace("END", ENDS[end]).replace("INTERVAL", str(interval))
+    (folder / "mission.L").write_text(program)
     (folder / "mission.dL").write_text(team)
     return load_mission(folder / "mission.dL", simulate=True)
 
@@ -55,7 +56,7 @@ def said(fleet: Fleet, what: str) -> list[tuple[float, str, str]]:
     return [line for line in fleet.log if what in line[2]]
 
 
-def judged(mission: Mission, seed: int = 1) -> tuple[Fleet, Breaches]:
+def judged(mission: Mission, seed: int = 1, lost_after: float | None = None) -> tuple[Fleet, Breaches]:
     """A fleet, and what the judge of terminations finds in it."""
     fleet: Fleet
 
@@ -65,7 +66,7 @@ def judged(mission: Mission, seed: int = 1) -> tuple[Fleet, Breaches]:
 
     breaches = Breaches(lambda: fleet.now)
     judge = Terminated(breaches, lambda: fleet, latest)
-    fleet = Fleet(mission, seed, born=lambda name, life: judge.born(life))
+    fleet = Fleet(mission, seed, lost_after=lost_after, born=lambda name, life: judge.born(life))
     return fleet, breaches
 
 
@@ -151,6 +152,28 @@ def test_a_member_with_a_new_disk_hears_of_the_end_before_it_promises(tmp_path: 
     assert states(fleet) == {key: [(1, "EXITED", "done")] for key in "abc"}
 
 
+@pytest.mark.parametrize("greets", [False, True], ids=["linked", "linked again"])
+def test_an_end_is_told_to_others_once_it_is_on_the_disk_where_it_happened(
+    tmp_path: Path, *, greets: bool
+) -> None:
+    """They might have it on their disks, where it is final, and boss would go on after a crash of b."""
+    fleet, breaches = judged(mission(tmp_path))
+    fleet.run(0.9)
+    fleet.disks["b"].sync = 60.0
+    run_until_ended(fleet)
+    if greets:
+        fleet.network.reset("b", "c")
+    fleet.run(1.5)
+    assert "EXITED" not in {state for name in "ac" for _, state, _ in states(fleet)[name]}
+    fleet.power_off("b")
+    fleet.disks["b"].sync = 0.002
+    fleet.boot("b")
+    fleet.run(20.0)
+    assert not breaches
+    assert len(said(fleet, "turned 1")) == 2
+    assert states(fleet) == {key: [(1, "EXITED", "done")] for key in "abc"}
+
+
 def test_an_end_that_only_its_host_knows_is_not_final_and_says_nothing_new_afterwards(tmp_path: Path) -> None:
     """The host that has it is cut off from all others: it has no lease, and they go on."""
     fleet, breaches = judged(mission(tmp_path))
@@ -165,6 +188,37 @@ def test_an_end_that_only_its_host_knows_is_not_final_and_says_nothing_new_after
     assert said(fleet, "turned 2")
     for rows in states(fleet).values():
         assert {outcome for generation, _, outcome in rows if generation > 1} == {"done"}
+
+
+def cut_off_at_the_end(folder: Path, *, until_done: bool = True) -> tuple[Fleet, Breaches]:
+    """boss ends on b, which nobody hears; others would recover it after ten seconds."""
+    slow = mission(folder, interval=10.0)
+    fleet, breaches = judged(slow, lost_after=5.0 if until_done else None)
+    fleet.run(0.9)
+    for other in "ac":
+        fleet.cut("b", other)
+    return fleet, breaches
+
+
+def test_with_until_done_a_host_waits_until_the_end_is_final(tmp_path: Path) -> None:
+    fleet, breaches = cut_off_at_the_end(tmp_path)
+    fleet.run(5.0)
+    assert said(
+        fleet, "boss has ended here, and no majority of the members has that on disk yet: b waits for it"
+    )
+    assert "b" in fleet.lives
+    fleet.heal_all()
+    fleet.run(20.0)
+    assert not breaches
+    assert fleet.left == dict.fromkeys("abc", 0)
+    assert not said(fleet, "recovered")
+
+
+def test_with_until_done_a_host_that_hears_no_majority_does_not_wait_for_ever(tmp_path: Path) -> None:
+    fleet, _ = cut_off_at_the_end(tmp_path)
+    fleet.run(9.0)
+    assert fleet.left["b"] == 0
+    assert said(fleet, "no majority of the members was heard for 5 s, and it may go on elsewhere")
 
 
 def test_an_operator_does_not_recover_what_has_ended(tmp_path: Path) -> None:

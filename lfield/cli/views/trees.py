@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterable, Iterator
 from typing import TYPE_CHECKING
 
@@ -12,12 +13,21 @@ if TYPE_CHECKING:
     from rich.text import Text
     from rich.tree import Tree
 
+#: Columns of output that no terminal shows: more than any line has.
+UNFOLDED = 10_000
+
 
 def plain_console() -> Console:
-    """Standard output; what looks like markup is text."""
+    """Standard output; what looks like markup is text.
+
+    Lines are folded and cut to the width of a terminal only: in a file or a pipe each row is one line.
+    """
     from rich.console import Console
 
-    return Console(markup=False, highlight=False, emoji=False)
+    console = Console(markup=False, highlight=False, emoji=False)
+    if not console.is_terminal and "COLUMNS" not in os.environ:
+        console.width = UNFOLDED
+    return console
 
 
 def print_tree(branches: Iterable[Branch]) -> None:

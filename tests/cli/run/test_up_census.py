@@ -149,7 +149,8 @@ def test_a_child_of_all_that_hangs_is_not_heard_of(lfield):
     assert "is lost" not in team.said
 
 
-ONE_AWAY = "//Post:a@alpha\n//Post:b@bravo\n//Walker:walker@alpha?a&0.01\n"
+#: A new start does not wait for bravo as such, since it has no resources.
+ONE_AWAY = "//Post:a@alpha\n//Walker:walker@alpha?a&0.01\n//@bravo\n"
 
 
 def test_a_first_start_waits_for_all_and_the_next_one_does_not(lfield):
