@@ -66,6 +66,9 @@ class Sender:
                 return goal_of(pilot) is None
             case dialect.MAVLINK_MSG_ID_FENCE_STATUS:
                 return not pilot.value(pilot.flavour.fence.enable)
+            case dialect.MAVLINK_MSG_ID_WIND:
+                # A rover has it from a vane, and has none.
+                return not pilot.flies
             case dialect.MAVLINK_MSG_ID_WIND_COV if not pilot.value("EKF2_DRAG_CTRL"):
                 return True
         return kind in POSITIONS and not has_position(pilot)
