@@ -66,9 +66,10 @@ ONLY_PX4 = frozenset(
     {
         dialect.MAVLINK_MSG_ID_CURRENT_MODE,
         dialect.MAVLINK_MSG_ID_ESTIMATOR_STATUS,
-        dialect.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED,
     }
 )
+#: What rovers do not tell: a setpoint with its velocity.
+ONLY_COPTERS = frozenset({dialect.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED})
 
 
 class Streams:
@@ -131,7 +132,9 @@ class Streams:
 
     def _wanted(self) -> list[int]:
         """The messages to ask for, of those that its autopilot has."""
-        others = ONLY_ARDUPILOT if self._vehicle.profile.px4 else ONLY_PX4
+        profile = self._vehicle.profile
+        others = ONLY_ARDUPILOT if profile.px4 else ONLY_PX4
+        others |= frozenset() if profile.kind == "copter" else ONLY_COPTERS
         return [kind for kind in self._rates if kind not in others]
 
     def _missing(self) -> list[str]:

@@ -85,6 +85,7 @@ class Guidance:
         speed = await motion.speed.of_goal()
         order = motion.orders.go_to(self._state, goal, speed)
         await motion.start(what, order)
+        motion.monitor.goes_to(goal)
         arrival = await motion.arrival()
 
         def distance(place: Vector) -> float:
