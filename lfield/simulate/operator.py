@@ -58,12 +58,12 @@ class Operator:
         self._names = {place: place.host for place in self._places}
         #: Until when the buttons of a kind are held, in true time; and how often each was pressed.
         self._held: dict[Hold, float] = {}
-        self._presses: Counter[Hold] = Counter()
+        self.presses: Counter[Hold] = Counter()
         #: What takes back an order of a kind, until every host has answered.
         self._lifting: defaultdict[Hold, set[asyncio.Task[None]]] = defaultdict(set)
         #: What is to be done with coordinators whose host is gone for good.
         self._orphans: dict[str, Callable[[str, _Answers], Awaitable[bool]]] = {}
-        self._looks = False
+        self._looks = self._starts = False
         #: How many orders of a kind hosts have carried out.
         self.carried_out: Counter[str] = Counter()
 
@@ -79,17 +79,17 @@ class Operator:
         """
         for task in self._lifting.pop(hold, ()):
             self._process.loop.enter(task.cancel)
-        self._presses[hold] += 1
+        self.presses[hold] += 1
         self._held[hold] = max(self._held.get(hold, 0.0), self._fleet.now + seconds)
         self._fleet.later(seconds, partial(self._let_go, hold))
         for place in self._places:
             self._begin(partial(self._order, hold, place))
 
     async def _order(self, hold: Hold, place: Place) -> None:
-        press = self._presses[hold]
+        press = self.presses[hold]
         answer = await self._ask(place, _request(hold, lift=False))
         # An answer that comes when the button is let go promises nothing any more.
-        if isinstance(answer, EmergencyStopped) and hold in self._held and press == self._presses[hold]:
+        if isinstance(answer, EmergencyStopped) and hold in self._held and press == self.presses[hold]:
             self.carried_out[hold] += 1
             self._judges.confirmed(hold, place.host, answer)
 
@@ -119,7 +119,11 @@ class Operator:
     async def _start(self) -> None:
         """As `lfield start --without` the hosts that are gone: what was not started during a stop."""
         request = Request(StartRequest(sorted(self._fleet.gone)), StartResponse, 8.0, again=True)
-        await ask_all(self._transport, self._places, request)
+        self._starts = True
+        try:
+            await ask_all(self._transport, self._places, request)
+        finally:
+            self._starts = False
 
     # --- coordinators of hosts that are gone ----------------------------------------------------------
 
@@ -188,8 +192,10 @@ class Operator:
             del self._held[hold]
             self._judges.lifting(hold)
         self.look_after()
-        for hold in self._presses:
+        for hold in self.presses:
             self._begin(partial(self._lift, hold))
+        if self._fleet.gone and not self._starts:
+            self._begin(self._start)
 
 
 def _request(hold: Hold, *, lift: bool) -> Request[EmergencyStopped]:

@@ -75,6 +75,7 @@ class Weather:
     disk_full: float = 0.0
     disk_fail: float = 0.0
     disk_new: float = 0.0
+    disk_slow: float = 0.0
     guard_kill: float = 0.0
     guard_stop: float = 0.0
     swap: float = 0.0
@@ -107,9 +108,9 @@ class Storm:
     def __init__(self, fleet: Fleet, forecast: Iterable[Fault], judges: Judges) -> None:
         self.fleet = fleet
         forecast = list(forecast)
-        #: The person who gives orders, if anybody does: `judges` hears what hosts answer.
+        #: The person who gives orders, if anybody has to: `judges` hears what hosts answer.
         self.operator: Operator | None = None
-        if any(fault.kind in ORDERS for fault in forecast):
+        if any(fault.kind in (*ORDERS, "gone") for fault in forecast):
             self.operator = Operator(fleet, judges, random.Random(repr(forecast[0])))
         #: Every fault that struck: when, and what.
         self.faults: list[tuple[float, str]] = []
@@ -121,7 +122,7 @@ class Storm:
             "power": self._power, "gone": self._gone, "suspend": self._suspend,
             "drift": self._drift, "race": self._race,
             "clock": self._clock, "disk_full": self._disk_full, "disk_fail": self._disk_fail,
-            "disk_new": self._disk_new,
+            "disk_new": self._disk_new, "disk_slow": self._disk_slow,
             "guard_kill": self._guard_kill, "guard_stop": self._guard_stop, "swap": self._swap,
             "split": self._split, "estop": self._estop, "pause": self._pause, "wreck": self._wreck,
         }  # fmt: skip
@@ -132,7 +133,7 @@ class Storm:
         """The sun comes out: all ways speak, all computers are on, all hosts run."""
         self._over = True
         for disk in self.fleet.disks.values():
-            disk.full = disk.broken = False
+            disk.full, disk.broken, disk.slow = False, False, 0.0
         self.fleet.heal_all()
         if self.operator is not None:
             self.operator.free_all()
@@ -214,7 +215,8 @@ class Storm:
         self._silence(fault.one, fault.other, fault.lasts)
 
     def _slow(self, fault: Fault) -> None:
-        near = "operator" if self.operator is not None and fault.size < SLOW_ORDERS else fault.one
+        pressed = self.operator is not None and bool(self.operator.presses)
+        near = "operator" if pressed and fault.size < SLOW_ORDERS else fault.one
         self._note(f"slow {near} > {fault.other}")
         self.fleet.network.ways.slow[near, fault.other] = SLOW
         self._after(fault.lasts, partial(self._quick, (near, fault.other)))
@@ -319,6 +321,12 @@ class Storm:
         disk = self.fleet.disks[fault.one]
         disk.broken = True
         self._after(fault.lasts, partial(setattr, disk, "broken", False))
+
+    def _disk_slow(self, fault: Fault) -> None:
+        self._note(f"disk of {fault.one} is slow")
+        disk = self.fleet.disks[fault.one]
+        disk.slow = fault.lasts
+        self._after(fault.lasts, partial(setattr, disk, "slow", 0.0))
 
     # --- orders of a person ---------------------------------------------------------------------------
 

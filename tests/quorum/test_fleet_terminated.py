@@ -3,18 +3,12 @@
 from __future__ import annotations
 
 import random
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import pytest
-from msgspec import structs
 
-from lfield.host.team.leases import Leases
 from lfield.mission.load import load_mission
 from lfield.mission.mission import Mission
-from lfield.quorum.core import Quorum
-from lfield.quorum.terminations import Terminations
 from lfield.simulate.fleet import Fleet
 from lfield.simulate.judging.breaches import Breaches
 from lfield.simulate.judging.terminated import Terminated
@@ -261,38 +255,6 @@ def test_a_new_run_of_the_mission_starts_what_has_ended(tmp_path: Path) -> None:
     assert len(said(fleet, "turned 1")) == 2
     assert not breaches
     assert states(fleet) == {key: [(1, "EXITED", "done"), (2, "EXITED", "done")] for key in "abc"}
-
-
-def an_end_is_like_nothing_known(patch: pytest.MonkeyPatch) -> None:
-    """As it was: a coordinator that has terminated looks like one of which nothing was ever heard."""
-    patch.setattr(Leases, "_saved_end", lambda self, agent: None)
-
-
-def a_promise_in_spite_of_a_known_end(patch: pytest.MonkeyPatch) -> None:
-    """It is told in acknowledgements, but whoever is asked does not look."""
-    on_propose, sought = Quorum._on_propose, Quorum._sought
-
-    def promises(self: Quorum, host: str, message: Any, now: float) -> Any:
-        return on_propose(self, host, structs.replace(message, start=2**62), now)
-
-    def silent(self: Quorum, agent: str, now: float) -> Any:
-        return structs.replace(sought(self, agent, now), ended=None)
-
-    patch.setattr(Quorum, "_on_propose", promises)
-    patch.setattr(Quorum, "_sought", silent)
-    patch.setattr(Terminations, "all", property(lambda self: []))
-
-
-@pytest.mark.parametrize("plant", [an_end_is_like_nothing_known, a_promise_in_spite_of_a_known_end])
-def test_the_judge_finds_what_lets_an_ended_coordinator_be_recovered(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, plant: Callable[[pytest.MonkeyPatch], None]
-) -> None:
-    plant(monkeypatch)
-    fleet, breaches = judged(mission(tmp_path))
-    fleet.run(0.8)
-    fleet.cut("a", "b")
-    fleet.run(8.2)
-    assert {breach.name for breach in breaches} == {"terminated", "promised"}
 
 
 @pytest.mark.few(2)
