@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterable, Iterator
 from typing import TYPE_CHECKING
 
 from lfield.operator.registry.taxonomy import Branch
+from lfield.text.visible import unguarded
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -14,10 +16,10 @@ if TYPE_CHECKING:
 
 
 def plain_console() -> Console:
-    """Standard output; what looks like markup is text."""
-    from rich.console import Console
+    """Standard output; what looks like markup is text, and what would order a terminal is shown."""
+    from lfield.cli.views.console import PlainConsole
 
-    return Console(markup=False, highlight=False, emoji=False)
+    return PlainConsole(file=unguarded(sys.stdout), markup=False, highlight=False, emoji=False)
 
 
 def print_tree(branches: Iterable[Branch]) -> None:
