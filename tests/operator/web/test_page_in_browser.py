@@ -103,6 +103,17 @@ def test_lifting_and_resuming_ask_once_more(browser, page_of):
     browser.wait(lambda: not browser.all("halt"))
 
 
+def test_a_start_that_waits_names_the_hosts_the_reasons_and_the_bundles(browser, page_of):
+    page = page_of()
+    browser.open(page.link)
+    browser.says("host-alpha", "bundle 5cde09b1f2a37c44")
+    reason = "alpha runs bundle 5cde09b1f2a37c44 and carol runs bundle 77aa0c31d5e8b902"
+    page.do(f"refuse carol {reason}")
+    browser.says("host-alpha", "start waits for carol")
+    browser.says("host-alpha", f"no link with carol: {reason}")
+    assert browser.errors == []
+
+
 @pytest.mark.few(0)
 def test_a_host_that_dies_stays_as_it_was_last_known(browser, page_of):
     page = page_of()
