@@ -330,7 +330,11 @@ def test_a_vehicle_that_does_not_tell_its_board_after_a_reconnection_gets_no_com
     b.run(mission)
 
 
-@pytest.mark.parametrize(("kind", "autopilot"), [(6, 8), (18, 8), (18, 3), (6, 3), (2, 8), (0, 8)])
+@pytest.mark.few(4)
+@pytest.mark.parametrize(
+    ("kind", "autopilot"),
+    [(6, 8), (18, 8), (18, 3), (6, 3), (2, 8), (0, 8), (34, 0), (27, 3), (42, 12), (5, 3), (2, 0), (0, 0)],
+)
 def test_heartbeats_of_what_is_no_autopilot_are_ignored_and_reported(bench, kind, autopilot):
     b = bench(endpoint=PORT, board=BOARD)
     station = dialect.MAVLink(None, srcSystem=1, srcComponent=1)
