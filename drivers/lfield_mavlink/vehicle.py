@@ -28,6 +28,7 @@ from lfield_mavlink.parts.motion import Motion
 from lfield_mavlink.parts.payload import Payload
 from lfield_mavlink.parts.readiness import Readiness
 from lfield_mavlink.parts.rest import Rest
+from lfield_mavlink.parts.returns import Returns
 from lfield_mavlink.parts.storage import Files, Settings
 from lfield_mavlink.parts.upkeep import Upkeep
 from lfield_mavlink.services.file_transfer import FileTransfer
@@ -76,7 +77,8 @@ class MavlinkVehicle(Contact):
         self.watchdog = Watchdog(self, self.parameters)
         limits = Limits(binding, self.error)
         readiness = Readiness(self, self.motion)
-        self._flight = Flight(self, self.motion, limits, readiness, self.parameters)
+        returns = Returns(self, limits, self.parameters, self.plans)
+        self._flight = Flight(self, self.motion, limits, readiness, self.parameters, returns)
         self._rest = Rest(self, self.motion)
         self._keeper = LimitKeeper(self, self.motion)
         self._nature = Nature(self, self.parameters, self.motion.fence, binding)
@@ -85,7 +87,7 @@ class MavlinkVehicle(Contact):
             self._flight,
             readiness,
             self._guidance,
-            Missions(self, self.motion, limits, self.plans, self.parameters),
+            Missions(self, self.motion, limits, self.plans, returns),
             Fences(self, self.plans, self.parameters),
             Rally(self, self.plans),
             Payload(self),
