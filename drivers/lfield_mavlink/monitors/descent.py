@@ -17,8 +17,8 @@ from dataclasses import dataclass
 LOST, SINKS = 1.0, 1.0
 #: m/s downwards that are a fall in any case: so much, or a share of the autopilot's own speed of descent.
 FASTEST, SHARE, MORE = 2.6, 1.4, 0.5
-#: A descent may be this share of the speed that was commanded, or is the autopilot's own; m/s of that where it
-#: is not known. So many metres beyond it are a fall.
+#: A descent may be this share of the speed that was commanded, or is the autopilot's own; m/s of that where
+#: it is not known. So many metres beyond it are a fall.
 DESCENDS, UNKNOWN, BEYOND = 1.15, 2.0, 0.6
 #: Seconds for which a commanded speed downwards still counts: a vehicle brakes.
 COMMANDED = 1.5

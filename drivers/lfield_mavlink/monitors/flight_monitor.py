@@ -11,10 +11,10 @@ from typing import Any
 from lfield.driver import DeviceError
 from lfield_mavlink.contact.contact import Contact
 from lfield_mavlink.geo import Place, Vector
-from lfield_mavlink.link.dialect import dialect
+from lfield_mavlink.link.dialect import AUTOPILOT, dialect
 from lfield_mavlink.modes import ARDUPILOT, PX4
 from lfield_mavlink.monitors.descent import DESCENT, DescentMonitor, Expected, Finding
-from lfield_mavlink.monitors.position import PositionMonitor
+from lfield_mavlink.monitors.position import FIX, PositionMonitor
 from lfield_mavlink.monitors.target import CourseMonitor, TargetMonitor
 from lfield_mavlink.services.parameters import Parameters
 from lfield_mavlink.setpoints.orders import Order
@@ -22,14 +22,20 @@ from lfield_mavlink.setpoints.trajectory import ONLY_POSITION, POSITION_AND_YAW,
 
 #: Seconds until it is known what became of a vehicle whose motors went off in the air.
 SETTLES = 2.5
-#: Seconds for a second receiver to answer, and after which it is asked again.
-SECOND, AGAIN = 0.3, 1.0
+#: Seconds after which a second receiver is asked again while the first has no fix.
+AGAIN = 0.4
 #: Seconds until the speeds of descent are read, and until they are read again.
 FIRST, LOOK = 2.0, 60.0
 #: What may be ordered of one that falls.
 STOPS = ("land", "hold", "disarm", "mode ", "returnHome")
-#: What needs no position, of what may be ordered.
-NEEDS_NONE = ("land", "arm", "disarm", "mode ")
+#: What needs no position, of what may be ordered, and the modes that need none.
+NEEDS_NONE = ("land", "arm", "disarm")
+BLIND_MODES = frozenset(
+    {
+        "STABILIZE", "ACRO", "ALT_HOLD", "LAND", "MANUAL", "HOLD", "FBWA", "TRAINING", "SURFACE",
+        "STABILIZED", "ALTCTL", "AUTO.LAND",
+    }
+)  # fmt: skip
 #: MAV_FRAME whose heights are above mean sea level.
 ABOVE_SEA = (dialect.MAV_FRAME_GLOBAL, dialect.MAV_FRAME_GLOBAL_INT)
 #: type_mask: no place over ground, no height, no velocity.
@@ -102,6 +108,11 @@ class FlightMonitor:
         """Why it does not know where it is, '' while it does; at rest that does not matter."""
         return self._position.lost(self._now) if self._state.armed and self._is_judged_by_place else ""
 
+    @property
+    def is_blind(self) -> bool:
+        """Whether what it tells of its place and speed is a drift, in the air or not."""
+        return bool(self._position.lost(self._now))
+
     def check_begin(self, what: str) -> None:
         """A motion is to begin. Raises DeviceError when it must not, or needs a position that is lost."""
         if self.crashed:
@@ -109,8 +120,8 @@ class FlightMonitor:
                 f"{what} refused: {self.crashed}. It must be inspected; then an operator ends the lock-out "
                 "by 'lfield estop --lift', and release() takes it back"
             )
-        if (lost := self.lost_position) and not what.startswith(NEEDS_NONE):
-            raise self._vehicle.error(f"{what} refused: {lost}; land() needs no position")
+        if (lost := self.lost_position) and self._needs_position(what):
+            raise self._vehicle.error(f"{what} refused: {lost}; {self._needs_none} needs no position")
         if self.falling and not what.startswith(STOPS):
             raise self._vehicle.error(f"{what} refused: {self.falling}")
         self._course.begin(None)
@@ -121,8 +132,8 @@ class FlightMonitor:
         descent = self._descent
         if descent.falling:
             raise self._vehicle.error(f"{what} ended early: {descent.falling}")
-        if self.lost_position and what != "land" and not await self._has_second():
-            raise self._vehicle.error(f"{what} ended early: {self.lost_position}; land() needs no position")
+        if (lost := self.lost_position) and self._needs_position(what):
+            raise self._vehicle.error(f"{what} ended early: {lost}; {self._needs_none} needs no position")
         if self.foreign:
             raise self._vehicle.error(f"{what} ended early: {self.foreign}; release() takes it back")
         if order.leads and self._course.leaves:
@@ -142,9 +153,20 @@ class FlightMonitor:
         await self._vehicle.seen(lambda: not self._descent.undecided, SETTLES)
 
     def safe_mode(self, state: str) -> str:
-        """The mode for a safe state: without a position there is only a landing."""
+        """The mode for a safe state: without a position there is only a landing, and of a rover a stop."""
         profile = self._vehicle.profile
-        return profile.land if self.lost_position and profile.kind == "copter" else profile.safe(state)
+        lands = self.lost_position and profile.kind in ("copter", "rover")
+        return profile.land if lands else profile.safe(state)
+
+    def _needs_position(self, what: str) -> bool:
+        profile = self._vehicle.profile
+        mode = profile.hold if what == "hold" else what.removeprefix("mode ")
+        return not (what.startswith(NEEDS_NONE) or mode in BLIND_MODES)
+
+    @property
+    def _needs_none(self) -> str:
+        stops = "hold()" if self._vehicle.profile.hold in BLIND_MODES else "disarm()"
+        return "land()" if self._flies else stops
 
     # -- what is done -------------------------------------------------------------------------------------
 
@@ -259,6 +281,16 @@ class FlightMonitor:
 
     def _on_gps(self, message: Any) -> None:
         self._position.on_fix(0, message.fix_type, self._now)
+        second = self._state.armed and message.fix_type < FIX and not self._vehicle.quiet
+        if second and self._now - self._second_at >= AGAIN:
+            # A second receiver does not tell by itself.
+            self._second_at = self._now
+            asks, kind = dialect.MAV_CMD_REQUEST_MESSAGE, float(dialect.MAVLINK_MSG_ID_GPS2_RAW)
+            self._vehicle.send(
+                dialect.MAVLink_command_long_message(
+                    self._vehicle.system, AUTOPILOT, asks, 0, kind, *[0.0] * 6
+                )
+            )
 
     def _on_second_gps(self, message: Any) -> None:
         self._position.on_fix(1, message.fix_type, self._now)
@@ -347,17 +379,6 @@ class FlightMonitor:
         """A place about home in the autopilot's local frame."""
         north, east, down = (p + h for p, h in zip(place, self._state.home_offset, strict=True))
         return north, east, down
-
-    async def _has_second(self) -> bool:
-        """Whether a second receiver has a fix: it is asked, since it does not tell by itself."""
-        if self._now - self._second_at > AGAIN:
-            self._second_at = self._now
-            number = float(dialect.MAVLINK_MSG_ID_GPS2_RAW)
-            await self._vehicle.exchange.command(
-                dialect.MAV_CMD_REQUEST_MESSAGE, number, once=True, patience=SECOND
-            )
-            await self._vehicle.seen(lambda: not self.lost_position, SECOND)
-        return not self.lost_position
 
     def _take(self, found: Finding | None) -> None:
         if found is None:
