@@ -85,8 +85,7 @@ class Coordinators:
         self._packed: memoryview | None = None
         #: Where each coordinator was last sent.
         self._sent_to: dict[str, str] = {}
-        #: When mobility may have something to give up. A new deadline is later than those before, so one that
-        #: is set stays until it has come.
+        #: When mobility may have something to give up. New deadlines are later, so one that is set stays.
         self._due: float | None = None
 
     # --- time -----------------------------------------------------------------------------------------
@@ -203,7 +202,8 @@ class Coordinators:
 
     def greeting(self) -> list[Known]:
         """What others are told of all coordinators when they are greeted."""
-        return self.mobility.greeting(header for _, header, _ in (self._early or {}).values())
+        waiting = (header for _, header, _ in (self._early or {}).values())
+        return self.keeping.on_record(self.mobility.greeting(waiting), self._own.host)
 
     def recover(self, agent: str, generation: int) -> bool:
         """The holder of a coordinator is gone for good: it goes on here, as start `generation`, once that is
