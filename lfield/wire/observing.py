@@ -216,7 +216,7 @@ class EmergencyStopped(Struct, frozen=True, array_like=True, forbid_unknown_fiel
     """The answer: every device of the host, with '' when its safe state is confirmed, else why it is not.
 
     `trouble` is why the host may not know of that when it is started again, '' when it will. It is '' also of
-    a host without a journal, which never does.
+    a host without a journal, which never does. Or it is why an order to end a stop or a pause was refused.
     """
 
     devices: dict[str, Text]

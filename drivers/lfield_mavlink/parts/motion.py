@@ -78,8 +78,10 @@ class Motion:
         if self.failsafe.has_it or self.monitor.foreign or not self._state.armed:
             return not self._state.armed
         profile = self._vehicle.profile
-        # What it does by itself ends on the ground; in the air somebody has chosen that mode.
-        own = profile.own if self._state.landed else ()
+        # What it does by itself ends on the ground; in the air, and while a rover follows setpoints, somebody
+        # has chosen that mode.
+        by_itself = self._state.landed if profile.flies else self._commanded != {profile.guided}
+        own = profile.own if by_itself else ()
         return self._state.mode in (profile.guided, *own, *self._commanded)
 
     def claim(self, *modes: str) -> None:
@@ -220,10 +222,13 @@ class Motion:
     def check_bounded(self, what: str, mode: str) -> None:
         """Refuse a mode in which PX4 moves by itself, unless the binding waives that. Raises DeviceError.
 
-        One that is the binding's safe state, or leads down, or stays, may go on when this computer dies.
+        One that is the binding's safe state, or leads down, may go on when this computer dies; in the air a
+        hover may not: no failsafe ends it beside another station.
         """
         profile, binding = self._vehicle.profile, self._vehicle.binding
-        bounded = {profile.land, profile.hold, profile.safe(binding.safe_state)}
+        bounded = {profile.land, profile.safe(binding.safe_state)}
+        if not profile.flies or self._state.landed is not False:
+            bounded.add(profile.hold)
         if mode in profile.autonomous - bounded:
             self._check_waived(what, f"PX4 flies {mode} by itself")
 
@@ -231,7 +236,7 @@ class Motion:
         if not self._vehicle.binding.waives(AUTONOMOUS):
             raise self._vehicle.error(
                 f"{what} refused: {why}, and would go on when this computer dies, as long as it hears any "
-                f"ground station. Use goTo, orbit and land, or accept it by 'waivers: "
+                f"ground station. Use goTo, orbit, hold and land, or accept it by 'waivers: "
                 f"{{{AUTONOMOUS}: REASON}}' in its binding"
             )
 
@@ -384,6 +389,8 @@ class Motion:
             return
         await self.failsafe.explains()
         chosen = ", which its failsafe chose" if self.failsafe.has_it else ""
+        others = "" if self.failsafe.has_it else self.monitor.others()
+        chosen = chosen or (f", commanded by {others}" if others else "")
         why = f"the vehicle went to {state.mode}{chosen}" if state.armed else "the motors are off"
         raise self._vehicle.error(f"{what} ended early: {why}{self._vehicle.reasons(start)}")
 

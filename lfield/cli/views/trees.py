@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Iterable, Iterator
 from typing import TYPE_CHECKING
@@ -14,12 +15,21 @@ if TYPE_CHECKING:
     from rich.text import Text
     from rich.tree import Tree
 
+#: Columns of output that no terminal shows: more than any line has.
+UNFOLDED = 10_000
+
 
 def plain_console() -> Console:
-    """Standard output; what looks like markup is text, and what would order a terminal is shown."""
+    """Standard output; what looks like markup is text, and control characters are shown, not sent.
+
+    Lines are folded and cut to the width of a terminal only: in a file or a pipe each row is one line.
+    """
     from lfield.cli.views.console import PlainConsole
 
-    return PlainConsole(file=unguarded(sys.stdout), markup=False, highlight=False, emoji=False)
+    console = PlainConsole(file=unguarded(sys.stdout), markup=False, highlight=False, emoji=False)
+    if not console.is_terminal and "COLUMNS" not in os.environ:
+        console.width = UNFOLDED
+    return console
 
 
 def print_tree(branches: Iterable[Branch]) -> None:

@@ -96,7 +96,7 @@ COPTER_FLAVOUR = Flavour(
     # DO_ORBIT is PX4's; ArduCopter circles by its mode CIRCLE.
     unsupported=frozenset({34, 187}),
     # PING, HIGHRES_IMU, ESTIMATOR_STATUS, WIND_COV, ODOMETRY, CURRENT_MODE
-    lacks=frozenset({4, 85, 105, 230, 231, 331, 436}),
+    lacks=frozenset({4, 105, 230, 231, 331, 436}),
     tells_modes=True,
     tells_home=True,
     # TIMESYNC
