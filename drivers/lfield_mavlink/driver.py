@@ -167,7 +167,7 @@ class MavlinkDriver(Driver):
             # Cameras and gimbals have heartbeats too; only the autopilot's says how the vehicle is.
             if vehicle is None or message.get_srcComponent() != AUTOPILOT:
                 self._on_neighbour(message)
-            elif is_foreign(message):
+            elif is_foreign(message, vehicle.state.autopilot):
                 self._neighbours.heard(message)
                 self._ignore(vehicle, source, message)
             else:

@@ -48,6 +48,9 @@ class Calling(Protocol):
     def keeps_waiting(self, agent: Agent) -> str:
         """Why a frozen one cannot go on at once."""
 
+    def is_asked(self, agent: Agent) -> bool:
+        """Whether a sign of life of the host that a frozen one wants to is still waited for."""
+
     def cut_short(self, agent: Agent) -> str:
         """What a frozen one is kept from, as the end of a sentence; '' for nothing."""
 
@@ -126,11 +129,16 @@ class TimeLimits:
             self._arm(agent, min(later))
         if due := self._due(agent):
             self._over(agent, due)
-        elif len(later) < len(around):
+            return
+        if len(later) < len(around):
             agent.overdue = True
             agent.late_since = "a finally that has begun is not cut short"
-            self._hurry_leave(agent)
-            self._arm(agent, self._scheduler.clock_of(agent) + int(SOON * 1e9))
+            self.look_soon(agent)
+        self._hurry_leave(agent)
+
+    def look_soon(self, agent: Agent) -> None:
+        """Let the alarm ring soon: what keeps a coordinator in a block that is over may have changed."""
+        self._arm(agent, self._scheduler.clock_of(agent) + int(SOON * 1e9))
 
     # --- what is over ---------------------------------------------------------------------------------
 
@@ -150,9 +158,14 @@ class TimeLimits:
                 yield word, shielded
 
     def _hurry_leave(self, agent: Agent) -> None:
-        """A coordinator that leaves a `together`, and waits for a host that it cannot reach, goes on."""
+        """A coordinator that leaves a `together`, and waits for a host that it cannot reach, goes on.
+
+        It does not while that host still has time for a sign of life.
+        """
         leaves = agent.frozen and self._visits.head(agent) == "leave" and self.is_block_over(agent)
-        if leaves and self._scheduler.world.give_up(agent):
+        if leaves and self._visits.is_asked(agent):
+            self.look_soon(agent)
+        elif leaves and self._scheduler.world.give_up(agent):
             agent.frozen = False
             self._scheduler.turns.next(agent, only_thread(agent.block))
 

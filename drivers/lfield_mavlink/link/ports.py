@@ -67,23 +67,43 @@ class LinkCounts:
         )
 
 
-#: MAV_TYPEs of what has no autopilot of a vehicle, but for cameras and the like, which have other ids.
+#: MAV_TYPEs of what is no vehicle: stations, companion computers, trackers, and all kinds of equipment.
 _NO_VEHICLES = frozenset(
     {
+        dialect.MAV_TYPE_ANTENNA_TRACKER,
         dialect.MAV_TYPE_GCS,
         dialect.MAV_TYPE_ONBOARD_CONTROLLER,
         dialect.MAV_TYPE_GIMBAL,
         dialect.MAV_TYPE_ADSB,
         dialect.MAV_TYPE_CAMERA,
+        dialect.MAV_TYPE_CHARGING_STATION,
+        dialect.MAV_TYPE_FLARM,
+        dialect.MAV_TYPE_SERVO,
+        dialect.MAV_TYPE_ODID,
+        dialect.MAV_TYPE_BATTERY,
+        dialect.MAV_TYPE_PARACHUTE,
+        dialect.MAV_TYPE_LOG,
+        dialect.MAV_TYPE_OSD,
+        dialect.MAV_TYPE_IMU,
+        dialect.MAV_TYPE_GPS,
+        dialect.MAV_TYPE_WINCH,
+        dialect.MAV_TYPE_ILLUMINATOR,
+        dialect.MAV_TYPE_GRIPPER,
     }
 )
 
 
-def is_foreign(message: Any) -> bool:
-    """Whether a message is the heartbeat of what is no autopilot: a station, a companion computer."""
+def is_foreign(message: Any, autopilot: int) -> bool:
+    """Whether a message is the heartbeat of what is no autopilot: a station, a companion computer.
+
+    `autopilot` is the vehicle's MAV_AUTOPILOT, below 0 as long as that is not known: one with ArduPilot or
+    PX4 does not become one of another kind.
+    """
     if message.get_msgId() != dialect.MAVLINK_MSG_ID_HEARTBEAT:
         return False
-    return bool(message.autopilot == dialect.MAV_AUTOPILOT_INVALID or message.type in _NO_VEHICLES)
+    if message.autopilot == dialect.MAV_AUTOPILOT_INVALID or message.type in _NO_VEHICLES:
+        return True
+    return autopilot in STACKS and message.autopilot not in STACKS
 
 
 def foreign_words(message: Any) -> str:

@@ -221,10 +221,13 @@ class Motion:
     def check_bounded(self, what: str, mode: str) -> None:
         """Refuse a mode in which PX4 moves by itself, unless the binding waives that. Raises DeviceError.
 
-        One that is the binding's safe state, or leads down, or stays, may go on when this computer dies.
+        One that is the binding's safe state, or leads down, may go on when this computer dies; in the air a
+        hover may not: no failsafe ends it beside another station.
         """
         profile, binding = self._vehicle.profile, self._vehicle.binding
-        bounded = {profile.land, profile.hold, profile.safe(binding.safe_state)}
+        bounded = {profile.land, profile.safe(binding.safe_state)}
+        if not profile.flies or self._state.landed is not False:
+            bounded.add(profile.hold)
         if mode in profile.autonomous - bounded:
             self._check_waived(what, f"PX4 flies {mode} by itself")
 
@@ -232,7 +235,7 @@ class Motion:
         if not self._vehicle.binding.waives(AUTONOMOUS):
             raise self._vehicle.error(
                 f"{what} refused: {why}, and would go on when this computer dies, as long as it hears any "
-                f"ground station. Use goTo, orbit and land, or accept it by 'waivers: "
+                f"ground station. Use goTo, orbit, hold and land, or accept it by 'waivers: "
                 f"{{{AUTONOMOUS}: REASON}}' in its binding"
             )
 

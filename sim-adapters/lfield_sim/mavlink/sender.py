@@ -68,8 +68,9 @@ class Sender:
                 return not tells_setpoint(pilot)
             case dialect.MAVLINK_MSG_ID_FENCE_STATUS:
                 return not pilot.value(pilot.flavour.fence.enable)
-            case dialect.MAVLINK_MSG_ID_WIND if not pilot.flies:
-                return True
+            case dialect.MAVLINK_MSG_ID_WIND:
+                # A rover has it from a vane, and has none.
+                return not pilot.flies
             case dialect.MAVLINK_MSG_ID_WIND_COV if not pilot.value("EKF2_DRAG_CTRL"):
                 return True
         return kind in POSITIONS and not has_position(pilot)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import socket
-from contextlib import asynccontextmanager
+from contextlib import asynccontextmanager, suppress
 
 import pytest
 
@@ -46,21 +46,23 @@ class Story:
 
 
 @asynccontextmanager
-async def tcp_server(host):
-    """Greets each client, and never hangs up."""
+async def tcp_server(host, port=0, greeting=b"hello"):
+    """Greets each client, and closes the connections when the test ends."""
     clients = []
 
     async def serve(_, writer):
         clients.append(writer)
-        writer.write(b"hello")
+        writer.write(greeting)
 
-    server = await asyncio.start_server(serve, host.strip("[]"), 0)
+    server = await asyncio.start_server(serve, host.strip("[]"), port)
     try:
         yield clients, server.sockets[0].getsockname()[1]
     finally:
         server.close()
         for writer in clients:
             writer.close()
+            with suppress(OSError):
+                await writer.wait_closed()
 
 
 @pytest.mark.parametrize("host", HOSTS)
@@ -114,11 +116,10 @@ def test_a_tcp_connection_follows_its_name(monkeypatch, after):
             link = story.link(f"tcp:robot.local:{port}")
             await link.open()
             await until(lambda: b"hello" in story.got)
-            second = await asyncio.start_server(lambda _, w: w.write(b"there"), after, port)
-            clients[0].transport.abort()
-            await until(lambda: b"there" in story.got)
-            link.close()
-            second.close()
+            async with tcp_server(after, port, b"there"):
+                clients[0].transport.abort()
+                await until(lambda: b"there" in story.got)
+                link.close()
         assert any("Temporary failure in name resolution (attempt 1)" in note for note in story.notes)
         assert any(f"connected to {after}, after" in note for note in story.notes)
 

@@ -193,6 +193,7 @@ def test_setpoints_that_are_lost_by_the_way_do_not_end_it(px4, loss):
         ("startMission", []),
         ("setMode", ["AUTO.RTL"]),
         ("setMode", ["AUTO.TAKEOFF"]),
+        ("setMode", ["AUTO.LOITER"]),
         ("setMode", ["POSCTL.ORBIT"]),
         ("setMode", ["AUTO.FOLLOW_TARGET"]),
     ],
@@ -236,5 +237,20 @@ def test_an_ardupilot_returns_and_flies_missions_without_a_waiver(bench):
         await fc.execute("arm", [])
         await fc.execute("takeoff", [8.0])
         await fc.execute("returnHome", [])
+
+    b.run(story)
+
+
+@pytest.mark.parametrize(("state", "kind"), [("hold", "copter"), ("land", "rover")])
+def test_the_mode_for_staying_is_entered_where_it_is_safe(px4, state, kind):
+    b = px4(safe_state=state, kind=kind)
+
+    async def story(fc):
+        await fc.execute("setMode", ["AUTO.LOITER"])
+        await fc.execute("arm", [])
+        if kind == "copter":
+            await fc.execute("takeoff", [8.0])
+        await fc.execute("setMode", ["AUTO.LOITER"])
+        assert b.autopilot.mode == "AUTO.LOITER"
 
     b.run(story)
