@@ -78,8 +78,7 @@ class Motion:
         if self.failsafe.has_it or self.monitor.foreign or not self._state.armed:
             return not self._state.armed
         profile = self._vehicle.profile
-        # What it does by itself ends on the ground; in the air, and while a rover follows setpoints, somebody
-        # has chosen that mode.
+        # What it does by itself ends on the ground; in the air, or instead of setpoints, somebody chose it.
         by_itself = self._state.landed if profile.flies else self._commanded != {profile.guided}
         own = profile.own if by_itself else ()
         return self._state.mode in (profile.guided, *own, *self._commanded)
@@ -389,8 +388,8 @@ class Motion:
             return
         await self.failsafe.explains()
         chosen = ", which its failsafe chose" if self.failsafe.has_it else ""
-        others = "" if self.failsafe.has_it else self.monitor.others()
-        chosen = chosen or (f", commanded by {others}" if others else "")
+        if not chosen and (others := self.monitor.others()):
+            chosen = f", commanded by {others}"
         why = f"the vehicle went to {state.mode}{chosen}" if state.armed else "the motors are off"
         raise self._vehicle.error(f"{what} ended early: {why}{self._vehicle.reasons(start)}")
 
