@@ -30,7 +30,7 @@ async def flown(b, fc, kind):
     return speeds
 
 
-@pytest.mark.few(6)
+@pytest.mark.few(3)
 @pytest.mark.parametrize("limit", [1.0, 2.0, 3.0, 5.0])
 @pytest.mark.parametrize(("flavour", "kind"), VEHICLES)
 def test_a_limit_is_kept_in_still_air(bench, flavour, kind, limit):
@@ -42,7 +42,7 @@ def test_a_limit_is_kept_in_still_air(bench, flavour, kind, limit):
     assert [note for note in b.notes if "beyond its limit" in note] == []
 
 
-@pytest.mark.few(4)
+@pytest.mark.few(2)
 @pytest.mark.parametrize("source", [0.0, 1.57, 3.14])
 @pytest.mark.parametrize(("flavour", "kind"), VEHICLES)
 def test_a_limit_is_kept_in_wind(bench, flavour, kind, source):
