@@ -18,6 +18,9 @@ from lfield_mavlink.geo import Vector
 LESS = 0.1
 #: How many times its `time` a correction that helps may take until the value is within its limit.
 LONGEST = 5
+#: By what a value at its limit may exceed it once it was on the wire: heights in metres and speeds as a share
+#: (floats of 32 bits), places in metres (1e-7 degrees).
+ROUNDED_HEIGHT, ROUNDED_SPEED, ROUNDED_PLACE = 1e-3, 1e-6, 0.02
 #: m/s2 with which everything can brake.
 BRAKES = 2.0
 
@@ -147,17 +150,17 @@ class Limits:
         north, east, down = goal
         if not all(map(math.isfinite, goal)):
             raise self._error(f"{what} needs finite numbers")
-        if -down > self._altitude:
+        if -down > self._altitude + ROUNDED_HEIGHT:
             raise self._error(f"{what} refused: {-down:g} m is above the limit of {self._altitude:g} m")
         far = math.hypot(north, east) + extent
-        if far > self._radius:
+        if far > self._radius + ROUNDED_PLACE:
             raise self._error(
                 f"{what} refused: {far:.1f} m from home is beyond the limit of {self._radius:g} m"
             )
 
     def check_return(self, what: str, height: float, parameter: str) -> None:
         """Refuse a return that climbs above the limit, as a parameter has it. Raises DeviceError."""
-        if height > self._altitude:
+        if height > self._altitude + ROUNDED_HEIGHT:
             raise self._error(
                 f"{what} refused: it would climb to {height:g} m ({parameter}), above the limit of "
                 f"{self._altitude:g} m; set {parameter} lower, or go home by goTo and land"
@@ -170,7 +173,7 @@ class Limits:
 
     def check_speed(self, what: str, speed: float) -> None:
         """Refuse a speed over ground above the limit. Raises DeviceError."""
-        if not (math.isfinite(speed) and speed <= self._speed):
+        if not (math.isfinite(speed) and speed <= self._speed * (1.0 + ROUNDED_SPEED)):
             raise self._error(f"{what} of {speed:g} m/s is above the limit of {self._speed:g} m/s")
 
     def check_way_out(self, place: Vector | None, velocity: Vector) -> None:

@@ -17,7 +17,7 @@ from lfield_mavlink.limit_keeper import LimitKeeper
 from lfield_mavlink.limits import Limits
 from lfield_mavlink.link.dialect import dialect
 from lfield_mavlink.link.ports import LinkCounts
-from lfield_mavlink.link.sources import Sources
+from lfield_mavlink.link.sources import REMEDY, Sources
 from lfield_mavlink.modes import AUTONOMOUS
 from lfield_mavlink.nature import Nature
 from lfield_mavlink.parts.fences import Fences, Rally
@@ -28,6 +28,7 @@ from lfield_mavlink.parts.motion import Motion
 from lfield_mavlink.parts.payload import Payload
 from lfield_mavlink.parts.readiness import Readiness
 from lfield_mavlink.parts.rest import Rest
+from lfield_mavlink.parts.returns import Returns
 from lfield_mavlink.parts.storage import Files, Settings
 from lfield_mavlink.parts.upkeep import Upkeep
 from lfield_mavlink.services.file_transfer import FileTransfer
@@ -38,6 +39,8 @@ from lfield_mavlink.watchdog import Watchdog
 
 #: Seconds within which it is known whether two vehicles have one system id.
 SETTLES = 6.0
+#: How often it is asked for its unique id before it is armed, and the seconds for a second answer to come.
+ASKED, SECOND = 2, 0.2
 
 
 class MavlinkVehicle(Contact):
@@ -74,7 +77,8 @@ class MavlinkVehicle(Contact):
         self.watchdog = Watchdog(self, self.parameters)
         limits = Limits(binding, self.error)
         readiness = Readiness(self, self.motion)
-        self._flight = Flight(self, self.motion, limits, readiness, self.parameters)
+        returns = Returns(self, limits, self.parameters, self.plans)
+        self._flight = Flight(self, self.motion, limits, readiness, self.parameters, returns)
         self._rest = Rest(self, self.motion)
         self._keeper = LimitKeeper(self, self.motion)
         self._nature = Nature(self, self.parameters, self.motion.fence, binding)
@@ -83,7 +87,7 @@ class MavlinkVehicle(Contact):
             self._flight,
             readiness,
             self._guidance,
-            Missions(self, self.motion, limits, self.plans, self.parameters),
+            Missions(self, self.motion, limits, self.plans, returns),
             Fences(self, self.plans, self.parameters),
             Rally(self, self.plans),
             Payload(self),
@@ -152,6 +156,8 @@ class MavlinkVehicle(Contact):
         """Raise DeviceError when the vehicle is not heard any more, or another one is."""
         if self._identity.stranger:
             raise self.error(self._identity.stranger)
+        if self.silence > LINK_LOST and (conflict := self.conflict):
+            raise self.error(f"nothing heard for {self.silence:.1f} s, and {conflict}", timeout=True)
         super().check_link()
 
     @property
@@ -160,12 +166,20 @@ class MavlinkVehicle(Contact):
         return "" if self._sources is None else self._sources.conflict(self.clock.monotonic())
 
     async def check_alone(self) -> None:
-        """Listen until it is known that one vehicle has this system id. Raises DeviceError for two."""
+        """Make certain that one vehicle has this system id, and which. Raises DeviceError.
+
+        Two behind one far end, such as a router, both answer what is asked.
+        """
         sources, now = self._sources, self.clock.monotonic
         if sources is not None and not await self.seen(lambda: sources.is_settled(now()), SETTLES):
             raise self.error("whether another vehicle has its system id is not known yet; try again")
+        for _ in range(ASKED if sources is not None else 0):
+            self._identity.look(await self._version.renew())
+            if await self.seen(lambda: bool(self.conflict), SECOND):
+                break
         if conflict := self.conflict:
-            raise self.error(f"arm refused: {conflict}; give each vehicle a system id of its own")
+            raise self.error(f"arm refused: {conflict}; {REMEDY}")
+        await self._identity.verify()
 
     # -- its telemetry --------------------------------------------------------------------------------
 

@@ -20,7 +20,7 @@ from lfield.host.sight.hops import Hops
 from lfield.host.sight.programs import Programs
 from lfield.host.sight.teller import Teller
 from lfield.host.team import words
-from lfield.host.team.absent import Absent
+from lfield.host.team.absent import Absent, SignsOfLife
 from lfield.host.team.beginning import Beginning
 from lfield.host.team.begun import BegunPages
 from lfield.host.team.commands import Commands
@@ -41,7 +41,7 @@ from lfield.vm.agent import Agent
 from lfield.vm.contract import Engines
 from lfield.vm.machine import Machine
 from lfield.wire.coordinators import Ended, EndedAck, Known, Transfer
-from lfield.wire.messages import Control, Heard, Hello, Report, Room
+from lfield.wire.messages import Control, Heard, Hello, Pong, Report, Room
 from lfield.wire.observing import Recover, Recovered, Status
 from lfield.wire.quorum import QuorumMessage
 from lfield.wire.reservations import ReservationMessage
@@ -111,8 +111,8 @@ class HostCore:
         #: The instructions to devices that are under way.
         self.commands = Commands(machine, nearby, leases, self._policies, clock, self._out, teller)
         offers = Offers(self.directory, mission)
-        absent = Absent(nearby, self.hearsay, clock, unreachable_after)
-        machine.attached.is_silent = lambda member: absent.is_silent(self.team.hosts[member.host])
+        absent = Absent(nearby, self.hearsay, clock, unreachable_after, self.mobility, self._out)
+        machine.attached.signs = SignsOfLife(absent, self.team.hosts)
         self.world.join(team, leases, self._begun, self.reserving, self.commands, offers, absent)
         #: When the coordinators of this host begin, and what a new start of them waits for.
         self.startup = startup = Beginning(
@@ -370,6 +370,8 @@ class HostCore:
         if isinstance(message, Report):
             if complaint := self.directory.received(host, message):
                 self._effects.append(Complain(complaint))
+        elif isinstance(message, Pong):
+            self.coordinators.carry_out(self.mobility.answered(host))
         elif isinstance(message, Room):
             self.coordinators.carry_out(self.mobility.room(host, message.trouble))
         elif isinstance(message, Heard):

@@ -28,7 +28,7 @@ from lfield.net.transport import Link, Listener, Transport
 from lfield.net.waiting.bars import Bars
 from lfield.wire.coordinators import Transfer
 from lfield.wire.framing import Buffer
-from lfield.wire.messages import Control, Hello, Ping, Pong, Revocations
+from lfield.wire.messages import QUESTION, Control, Hello, Ping, Pong, Revocations
 
 #: A link that is wanted is looked at every so many seconds and, unless something just came in, asked for a
 #: sign of life, by the host that stands first, or else by the other. After so many without, it is given up.
@@ -372,7 +372,7 @@ class Peers:
             session.link.send(Pong(message.token))
         elif isinstance(message, Revocations):
             self._take_list(message.list)
-        elif not isinstance(message, Pong):
+        elif not isinstance(message, Pong) or message.token == QUESTION:
             hello = session.hello
             assert hello is not None
             self._owner.received(hello.host if hello.role == "host" else "", message, session.link)

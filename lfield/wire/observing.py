@@ -153,8 +153,9 @@ class RefusedHost(Struct, frozen=True, array_like=True, forbid_unknown_fields=Tr
 class StartStatus(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
     """The coordinators of a host that are not started yet, and what their start waits for.
 
-    `hosts` are those that have resources and are not linked, `without` those that the start does not wait
-    for. `held` is why the start waits for an operator's command, '' where it does not.
+    `hosts` are those that have resources and are not linked, or have vehicles that do not say whether they
+    are on the ground; `without` are those that the start does not wait for. `held` is why the start waits for
+    an operator's command, '' where it does not.
     """
 
     agents: Annotated[list[Name], Meta(max_length=4096)]

@@ -89,6 +89,11 @@ class Identity:
             self._reason = self._reason or reason
             self._suspected.set()
 
+    def look(self, told: Any | None) -> None:
+        """Its AUTOPILOT_VERSION has been asked for: suspect it when that is another's."""
+        if self._known and told is not None and self._difference(Board.of(told)):
+            self.suspect("it told another unique id")
+
     def may_send(self, message: Any) -> bool:
         """Whether a message may go out now: what only asks always may."""
         kind = message.get_msgId()

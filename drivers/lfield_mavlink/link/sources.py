@@ -1,8 +1,9 @@
 """Where the packets of one system id come from, and whether that is one vehicle. Pure: packets and times in.
 
 Two addresses behind one port that both keep sending heartbeats are two vehicles. A vehicle whose address has
-changed is not: the old address falls silent. Over several links one vehicle is heard from several addresses;
-that it is one shows by the unique id of its board, and where it tells none, by the clock since its start.
+changed is not: the old address falls silent, and the board behind the new one is the same. Over several links
+one vehicle is heard from several addresses; that it is one shows by the unique id of its board, and where it
+tells none, by the clock since its start.
 """
 
 from __future__ import annotations
@@ -24,10 +25,17 @@ BOTH = 0.5
 LISTENS = 1.2
 #: Addresses that are remembered, and how often each is asked for its unique id, every so many seconds.
 MOST, ASKS, ASK_AGAIN = 16, 5, 0.5
-#: Seconds by which two clocks since the start may seem to differ over two links.
-SAME_CLOCK = 2.0
+#: Seconds by which two clocks since the start may seem to differ over two links, and by which they do where
+#: two boards tell one id, as all simulators of PX4 do.
+SAME_CLOCK, OTHER_CLOCK = 2.0, 5.0
+#: What is to be done about two vehicles.
+REMEDY = "give each vehicle a system id of its own (MAV_SYSID, SYSID_THISMAV or MAV_SYS_ID)"
 #: How often a clock goes back within so many seconds when two vehicles share one address.
 BACKWARDS, WITHIN = 3, 5.0
+#: Seconds within which two vehicles at one address both answer a question that is asked twice.
+BY_TURNS = 2.0
+#: Messages after which it may be known whose an address is.
+_TELLING = (dialect.MAVLINK_MSG_ID_HEARTBEAT, dialect.MAVLINK_MSG_ID_AUTOPILOT_VERSION)
 
 
 class Source(NamedTuple):
@@ -61,6 +69,13 @@ class _Seen:
     first_beat: float = math.inf
     beat: float = -math.inf
     board: Board | None = None
+    #: The board that was told before this one, and when that changed.
+    former: Board | None = None
+    changed: float = -math.inf
+    #: When two boards were told by turns.
+    doubled: float = -math.inf
+    #: Whether it has sent heartbeats while the vehicle's own address did.
+    is_rival: bool = False
     asked: int = 0
     asked_at: float = -math.inf
     #: The vehicle's seconds since its start less ours, at the least delay.
@@ -76,10 +91,18 @@ class _Seen:
                 self.first_beat, self.asked = now, 0
             self.beat = now
         elif message.get_msgId() == dialect.MAVLINK_MSG_ID_AUTOPILOT_VERSION:
-            self.board = Board.of(message)
+            self._on_board(Board.of(message), now)
         elif message.get_msgId() == dialect.MAVLINK_MSG_ID_ATTITUDE:
             # One kind only: some senders give each kind of message a clock of its own.
             self._on_clock(message.time_boot_ms / 1000.0, now)
+
+    def _on_board(self, board: Board, now: float) -> None:
+        """A vehicle that takes another's place changes it once."""
+        if board == self.board:
+            return
+        if board == self.former and now - self.changed <= BY_TURNS:
+            self.doubled = now
+        self.board, self.former, self.changed = board, self.board, now
 
     def _on_clock(self, booted: float, now: float) -> None:
         if booted < self.booted - 1.0:
@@ -89,18 +112,34 @@ class _Seen:
             self.clock = ahead
 
     def is_mixed(self, now: float) -> bool:
-        """Whether two clocks come from here by turns."""
-        return len(self.backwards) == BACKWARDS and now - self.backwards[0] <= WITHIN
+        """Whether two boards answer from here, or two clocks come by turns."""
+        by_turns = len(self.backwards) == BACKWARDS and now - self.backwards[0] <= WITHIN
+        return by_turns or now - self.doubled <= LASTS
 
-    def is_same(self, other: _Seen) -> bool | None:
-        """Whether both are one vehicle; None as long as that is not known."""
-        if self.board is None or other.board is None:
+    def is_same(self, other: _Seen, *, both: bool) -> bool | None:
+        """Whether both are one vehicle; None as long as that is not known.
+
+        `both`: whether both send now. Of one that has fallen silent the clock may begin anew elsewhere.
+        """
+        mine, others = self.board, other.board
+        if mine is None or others is None:
             if self.asked < ASKS:
                 return None
-        elif self.board != other.board or self.board.uid:
-            return self.board == other.board
-        clocks = self.clock, other.clock
-        return None in clocks or abs(clocks[0] - clocks[1]) <= SAME_CLOCK  # type: ignore[operator]
+        elif mine.uid or others.uid:
+            if mine.uid != others.uid or not both:
+                return mine.uid == others.uid
+            return self._has_clock_of(other, OTHER_CLOCK)
+        elif mine != others:
+            return False
+        if not (both or self.is_rival):
+            return True
+        return self._has_clock_of(other, SAME_CLOCK)
+
+    def _has_clock_of(self, other: _Seen, apart: float) -> bool:
+        """A rival is another vehicle unless its clock shows that it is not, others are none."""
+        if self.clock is None or other.clock is None:
+            return not self.is_rival
+        return abs(self.clock - other.clock) <= apart
 
 
 class Sources:
@@ -111,7 +150,7 @@ class Sources:
 
     def __init__(self, system: int, links: Sequence[str]) -> None:
         self._system, self._links = system, links
-        # Only a port that listens, or a second link, can bring a second vehicle that is told by its address.
+        #: Whether a second vehicle may be told by its address: behind a port that listens, or a second link.
         self._several = len(links) > 1 or any(link.startswith("udpin:") for link in links)
         self._seen: dict[Source, _Seen] = {}
         self._own: set[Source] = set()
@@ -142,12 +181,13 @@ class Sources:
             seen = self._add(source)
         seen.on_packet(message, now)
         if source in self._own:
+            self._note_mixed(source, now)
             return True
         if not self._own:
             self._own.add(source)
             self._first = now
             return True
-        if message.get_msgId() == dialect.MAVLINK_MSG_ID_HEARTBEAT:
+        if message.get_msgId() in _TELLING:
             self._on_other(source, seen, now)
         return source in self._own
 
@@ -162,37 +202,47 @@ class Sources:
     def _on_other(self, source: Source, seen: _Seen, now: float) -> None:
         """A heartbeat from an address that is not known as the vehicle's."""
         used = [each for each in self._own if now - self._seen[each].at <= IN_USE]
+        if same_port := [each for each in used if each.link == source.link]:
+            if any(self._seen[each].at - seen.first_beat >= BOTH for each in same_port):
+                seen.is_rival = True
+                self._conflict(source, now)
+            return
+        same = self._is_same(seen, used)
+        if same is False:
+            self._conflict(source, now)
+        elif same:
+            self._adopt(source, used)
+
+    def _adopt(self, source: Source, used: Sequence[Source]) -> None:
+        """The vehicle sends from there: beside the other links that are in `use`, or instead of all."""
         if not used:
             before = ", ".join(map(self._words, sorted(self._own)))
-            self._own = {source}
-            self._rivals.pop(source, None)
-            self.moves += 1
             self.events.append(f"heard from {self._words(source)}, no longer from {before}")
-            return
-        same_port = [each for each in used if each.link == source.link]
-        if same_port:
-            both = any(self._seen[each].at - seen.first_beat >= BOTH for each in same_port)
-            if both:
-                self._conflict(source, now)
-        elif (same := self._is_same(seen, used)) is None:
-            return
-        elif same:
-            self._own = {each for each in self._own if each.link != source.link} | {source}
-            self._rivals.pop(source, None)
-            self.moves += 1
-        else:
-            self._conflict(source, now)
+        self._own = {each for each in self._own if used and each.link != source.link} | {source}
+        self._rivals.pop(source, None)
+        self.moves += 1
 
     def _is_same(self, seen: _Seen, used: Sequence[Source]) -> bool | None:
-        found = [seen.is_same(self._seen[each]) for each in used]
+        found = [seen.is_same(self._seen[each], both=bool(used)) for each in used or self._own]
         return False if False in found else None if None in found else True
+
+    def _note_mixed(self, source: Source, now: float) -> None:
+        """Say once that two vehicles share an address, as long as they do."""
+        if not self._seen[source].is_mixed(now):
+            return
+        if now - self._rivals.get(source, -math.inf) > LASTS:
+            self.events.append(
+                f"two vehicles send as system {self._system}, both over {self._words(source)}, where they "
+                f"cannot be kept apart: both get what is sent; {REMEDY}"
+            )
+        self._rivals[source] = now
 
     def _conflict(self, source: Source, now: float) -> None:
         if now - self._rivals.get(source, -math.inf) > LASTS:
             own = ", ".join(map(self._words, sorted(self._own)))
             self.events.append(
                 f"two vehicles send as system {self._system}: {own}, and {self._words(source)}, which is "
-                "ignored; give each vehicle a system id of its own (MAV_SYSID, SYSID_THISMAV or MAV_SYS_ID)"
+                f"ignored; {REMEDY}"
             )
         self._rivals[source] = now
 
@@ -200,7 +250,7 @@ class Sources:
 
     def conflict(self, now: float) -> str:
         """Which addresses are two vehicles with this system id; '' when none are."""
-        rivals = [each for each, at in self._rivals.items() if now - at <= LASTS]
+        rivals = [each for each, at in self._rivals.items() if now - at <= LASTS and each not in self._own]
         if rivals:
             names = " and ".join(map(self._words, (*sorted(self._own), *sorted(rivals))))
             return f"two vehicles send as system {self._system}: {names}"
@@ -210,7 +260,10 @@ class Sources:
         return ""
 
     def is_settled(self, now: float) -> bool:
-        """Whether it is known that there is one vehicle, or that there are two."""
+        """Whether it is known that there is one vehicle, or that there are two.
+
+        Of two behind one far end that is known once both have been asked for their boards.
+        """
         if not self._several or self.conflict(now):
             return True
         pending = (now - seen.beat <= LASTS for source, seen in self._seen.items() if source not in self._own)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import math
+from contextlib import suppress
 from typing import Any
 
 from lfield.driver import DeviceError
@@ -11,11 +12,11 @@ from lfield_mavlink.contact.contact import LINK_LOST, SHOWS, Contact
 from lfield_mavlink.geo import Vector
 from lfield_mavlink.limits import Limits
 from lfield_mavlink.link.dialect import dialect
-from lfield_mavlink.modes import ARDUPILOT, PX4
 from lfield_mavlink.parts.motion import Motion
 from lfield_mavlink.parts.progress import FAR, WayBack
 from lfield_mavlink.parts.readiness import COMPLAINTS, Readiness
 from lfield_mavlink.parts.rest import AT_HOME
+from lfield_mavlink.parts.returns import Returns
 from lfield_mavlink.services.parameters import Parameters
 from lfield_mavlink.setpoints.orders import Order, Patience
 
@@ -28,8 +29,8 @@ DELAY_OFF = "COM_DISARM_LAND"
 #: Of a landing, which may end below home, and of a return, which may hover for a while above it.
 SINKS = Patience(words="it has come no lower for {seconds:g} s, and does not stand")
 COMES_BACK = Patience(60.0, words="it has not moved for {seconds:g} s, and does not stand")
-#: How high above home it returns at least: the parameter by its names, and in how many units to a metre.
-RETURN_HEIGHTS = {ARDUPILOT: {"RTL_ALT_M": 1.0, "RTL_ALT": 100.0}, PX4: {"RTL_RETURN_ALT": 1.0}}
+#: Modes that fly a part of the mission, beside the mode of missions.
+BY_MISSION = ("AUTO_RTL",)
 #: Seconds after which ArduPilot has noticed our heartbeats, and between two attempts to arm until then.
 CLEARS, ARM_AGAIN = 1.5, 0.1
 #: What it says as long as it has not.
@@ -50,9 +51,11 @@ class Flight:
         limits: Limits,
         readiness: Readiness,
         parameters: Parameters,
+        returns: Returns,
     ) -> None:
         self._vehicle, self._state, self._motion = vehicle, vehicle.state, motion
         self._limits, self._readiness, self._parameters = limits, readiness, parameters
+        self._returns = returns
         self._arming_until = self._home_at = -math.inf
         vehicle.on(dialect.MAVLINK_MSG_ID_HOME_POSITION, self._on_home)
         # The mode in which it was left to others last, '' when it was not.
@@ -161,12 +164,12 @@ class Flight:
             return 0.0 if self._down else FAR - place[2]
 
         await self._motion.travel("land", Order(frozenset({mode})), height, 0.0, SINKS)
-        await self._go_off()
+        await self._go_off("land")
 
     async def do_return_home(self) -> None:
         """Back to where home is; what flies and can land is done when it stands there."""
         self._motion.check_bounded("returnHome", self._vehicle.profile.home)
-        await self._check_return("returnHome")
+        await self._returns.check("returnHome")
         mode = await self._leave_for("returnHome", "return", dialect.MAV_CMD_NAV_RETURN_TO_LAUNCH)
         if self._vehicle.profile.kind == "copter":
             way = WayBack()
@@ -177,9 +180,13 @@ class Flight:
                 0.0,
                 COMES_BACK,
             )
-            await self._go_off()
+            await self._go_off("returnHome")
             return
         arrival = await self._motion.arrival()
+        if self._vehicle.profile.px4:
+            # It would drive faster than its own parameter. One that takes no speed returns all the same.
+            with suppress(DeviceError):
+                await self._motion.speed.keep_wanted()
 
         def left(place: Vector) -> float:
             far = math.hypot(*place[:2])
@@ -188,19 +195,6 @@ class Flight:
 
         motion, order = self._motion, Order(frozenset({mode}))
         await motion.travel("returnHome", order, left, motion.tolerance, motion.patience)
-
-    async def _check_return(self, what: str) -> None:
-        """Refuse one that climbs beyond the limit: an autopilot returns at a height of its own.
-
-        The safe state and the failsafes return all the same. Raises DeviceError.
-        """
-        profile = self._vehicle.profile
-        if profile.kind != "copter" or not self._limits.bounds_heights:
-            return
-        units = RETURN_HEIGHTS[profile.autopilot]
-        name, height = await self._parameters.read_any(units)
-        if height is not None:
-            self._limits.check_return(what, height / units[name], name)
 
     async def do_hold(self) -> None:
         """Stop and stay."""
@@ -213,14 +207,14 @@ class Flight:
         if profile.mode_values(wanted) is None:
             known = ", ".join(sorted(profile.modes.values()))
             raise self._vehicle.error(f"{profile.stack} has no mode '{name}'; it has {known}")
-        if wanted == profile.mission:
+        if wanted in (profile.mission, *BY_MISSION):
             raise self._vehicle.error(
                 f"setMode refused: {wanted} would fly the mission of the vehicle past the limits; "
                 "call startMission(), which checks it"
             )
         self._motion.check_bounded(f"setMode to {wanted}", wanted)
         if wanted == profile.home:
-            await self._check_return("setMode")
+            await self._returns.check("setMode")
         self._motion.begin(f"mode {wanted}")
         await self._motion.set_mode(wanted)
 
@@ -299,13 +293,14 @@ class Flight:
         """Whether it stands on the ground, or does not move by itself."""
         return bool(self._state.landed) or not self._state.armed
 
-    async def _go_off(self) -> None:
+    async def _go_off(self, what: str) -> None:
         """Wait until the autopilot has switched the motors off after a landing, or switch them off.
 
         An arming in between would find them on, and lose them when their time is over. A PX4 whose owner
-        wants them to stay on keeps them on. Raises DeviceError.
+        wants them to stay on keeps them on. Raises DeviceError, also when the landing was a crash.
         """
         vehicle = self._vehicle
+        await self._motion.monitor.check_landed(what)
         if not vehicle.profile.flies or await vehicle.seen(lambda: not self._state.armed, GOES_OFF):
             return
         delay = await self._parameters.read(DELAY_OFF) if vehicle.profile.px4 else None

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 from lfield.driver import DeviceError
@@ -11,11 +11,11 @@ from lfield_mavlink.contact.contact import Contact
 from lfield_mavlink.limits import Limits
 from lfield_mavlink.link.dialect import AUTOPILOT, dialect
 from lfield_mavlink.modes import ARDUPILOT, PX4
-from lfield_mavlink.parts.flight import RETURN_HEIGHTS
 from lfield_mavlink.parts.motion import Motion
-from lfield_mavlink.services.mission_check import CURVES, Situation, begins_with_takeoff, has_command
+from lfield_mavlink.parts.returns import Returns
+from lfield_mavlink.services.mission_check import Situation
+from lfield_mavlink.services.mission_commands import CURVES, begins_with_takeoff, has_command
 from lfield_mavlink.services.mission_rules import check_mission
-from lfield_mavlink.services.parameters import Parameters
 from lfield_mavlink.services.plan_items import WAYPOINT, Item, PlanKind, coordinates, waypoints
 from lfield_mavlink.services.plan_transfer import PlanTransfer
 
@@ -39,6 +39,12 @@ _CIRCLES = (
     dialect.MAV_CMD_NAV_LOITER_TO_ALT,
     dialect.MAV_CMD_DO_REPOSITION,
 )
+#: MISSION_STATEs of a mission that is over, or of which nothing is known.
+_BEGINS = (
+    dialect.MISSION_STATE_UNKNOWN,
+    dialect.MISSION_STATE_NO_MISSION,
+    dialect.MISSION_STATE_COMPLETE,
+)
 _CURRENT = dialect.MAVLINK_MSG_ID_MISSION_CURRENT
 
 
@@ -46,14 +52,16 @@ class Missions:
     """Waypoints are numbered from 0 here, also for ArduPilot, whose own numbers begin with home."""
 
     def __init__(
-        self, vehicle: Contact, motion: Motion, limits: Limits, plans: PlanTransfer, parameters: Parameters
+        self, vehicle: Contact, motion: Motion, limits: Limits, plans: PlanTransfer, returns: Returns
     ) -> None:
         self._vehicle, self._state, self._motion = vehicle, vehicle.state, motion
-        self._limits, self._plans, self._parameters = limits, plans, parameters
+        self._limits, self._plans, self._returns = limits, plans, returns
         self._count = 0
         # Whether the mission may have curves, whose path follows from where they begin.
         self._curved = True
         self._current = self._reached = -1
+        # Whether it has not told that it is in the middle of its mission, and so begins with waypoint 0.
+        self._begins = True
         vehicle.on(_CURRENT, self._on_current)
         vehicle.on(dialect.MAVLINK_MSG_ID_MISSION_ITEM_REACHED, self._on_reached)
 
@@ -96,9 +104,8 @@ class Missions:
                 "startMission refused: the vehicle holds no mission; call uploadMission() first"
             )
         await self._check("startMission", items, starts=True)
-        stands = self._vehicle.profile.flies and self._state.landed
-        if stands and not begins_with_takeoff(items):
-            raise self._vehicle.error("startMission refused: it stands on the ground; call takeoff() first")
+        if profile.flies and self._state.landed:
+            self._check_takeoff(items)
         self._count = len(items)
         start = dialect.MAV_CMD_MISSION_START
         await self._motion.enter("startMission", profile.mission, start, 0.0, 0.0)
@@ -107,8 +114,11 @@ class Missions:
             self._motion.claim(profile.mission, profile.hold)
         try:
             await self._motion.speed.keep_wanted()
+            if self._limits.bounds_anything:
+                # Another station may have changed it meanwhile.
+                await self._check("startMission", await self._plans.download(PlanKind.MISSION), starts=True)
         except DeviceError as error:
-            await self._motion.halt("its speed cannot be limited")
+            await self._motion.halt("its speed or its mission is not known to stay inside the limits")
             raise self._vehicle.error(f"startMission: it holds, since {error.reason}") from None
 
     async def do_pause_mission(self) -> None:
@@ -154,6 +164,19 @@ class Missions:
     def _is_flown(self) -> bool:
         return self._state.armed and self._state.mode == self._vehicle.profile.mission
 
+    def _check_takeoff(self, items: Sequence[Item]) -> None:
+        """Refuse a mission that would begin on the ground with something else. Raises DeviceError.
+
+        ArduPilot goes on with its current item on the ground, too; PX4 begins with the first one.
+        """
+        first = 0 if self._vehicle.profile.px4 or self._begins else max(self._current, 0)
+        if begins_with_takeoff(items[first:]):
+            return
+        number = f", and waypoint {first} is no takeoff" if first else ""
+        raise self._vehicle.error(
+            f"startMission refused: it stands on the ground{number}; call takeoff() first"
+        )
+
     def _check_not_flown(self, what: str) -> None:
         if self._is_flown:
             raise self._vehicle.error(f"{what} refused: a mission is being flown; call pauseMission() first")
@@ -167,25 +190,15 @@ class Missions:
         """What the items are checked against; asks the vehicle only for what these items need."""
         profile, state, limits = self._vehicle.profile, self._state, self._limits
         autopilot, returns = profile.autopilot, has_command(items, dialect.MAV_CMD_NAV_RETURN_TO_LAUNCH)
-        radius, climbs, rally = None, None, list[Item]()
+        radius, climb, rally = None, None, list[Item]()
         if limits.bounds_radius and has_command(items, *_CIRCLES):
-            radius, _ = await self._metres(_LOITER_RADII.get((autopilot, profile.kind), {}))
-        if limits.bounds_heights and returns and profile.kind == "copter":
-            height, name = await self._metres(RETURN_HEIGHTS[autopilot])
-            climbs = None if height is None else (height, name)
-        if limits.bound_places and returns:
-            rally = await self._plans.download(PlanKind.RALLY)
+            radius, _ = await self._returns.metres(_LOITER_RADII.get((autopilot, profile.kind), {}))
+        if returns:
+            climb, rally = await self._returns.climb(), await self._returns.rally()
         home = state.home if state.knows_frames else None
         return Situation(
-            profile.kind, profile.px4, home, state.position, radius, climbs, rally, begins_here=starts
+            profile.kind, profile.px4, home, state.position, radius, climb, rally, begins_here=starts
         )
-
-    async def _metres(self, units: Mapping[str, float]) -> tuple[float | None, str]:
-        """The first of these parameters that the vehicle has, in metres, and its name."""
-        if not units:
-            return None, ""
-        name, value = await self._parameters.read_any(units)
-        return (None if value is None else abs(value) / units[name]), name
 
     # -- telemetry ------------------------------------------------------------------------------------
 
@@ -193,6 +206,7 @@ class Missions:
         if self._state.profile is None:
             return  # from which number it counts is not known before its first heartbeat
         before, self._current = self._current, max(message.seq - self._first, -1)
+        self._begins = message.mission_state in _BEGINS
         # The word that an item was reached comes once and may be lost.
         if self._state.mode == self._vehicle.profile.mission:
             if self._current == before + 1:

@@ -8,74 +8,28 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from lfield.driver import DeviceError
 from lfield_mavlink.geo import Place, Vector
 from lfield_mavlink.limits import Limits
 from lfield_mavlink.link.dialect import dialect
+from lfield_mavlink.services.mission_commands import JUMPS, PLACED, has_command, is_flown
 from lfield_mavlink.services.mission_paths import arc_corners, spline_corners
 from lfield_mavlink.services.plan_items import Item, command_name
 
 #: MISSION_ITEM_INT.x or y of "the place where the vehicle is".
 HERE = 0x7FFFFFFF
-#: What lifts a vehicle off the ground, and what may come before it in a mission that begins there.
-TAKEOFFS = frozenset(
-    {
-        dialect.MAV_CMD_NAV_TAKEOFF,
-        dialect.MAV_CMD_NAV_VTOL_TAKEOFF,
-        dialect.MAV_CMD_NAV_TAKEOFF_LOCAL,
-    }
-)
-#: Commands below this number are flown (NAV), but those of `_NOT_FLOWN`; later ones are done beside it.
-_LAST_FLOWN = dialect.MAV_CMD_NAV_LAST
-_NOT_FLOWN = frozenset(
-    {
-        dialect.MAV_CMD_NAV_ROI,
-        dialect.MAV_CMD_NAV_DELAY,
-        dialect.MAV_CMD_DO_FOLLOW,
-        dialect.MAV_CMD_DO_FOLLOW_REPOSITION,
-        dialect.MAV_CMD_DO_ORBIT,
-        dialect.MAV_CMD_DO_FIGURE_EIGHT,
-    }
-)
-#: Commands with a number beyond `_LAST_FLOWN` that are flown all the same.
-_FLOWN = frozenset(
-    {
-        dialect.MAV_CMD_NAV_SET_YAW_SPEED,
-        dialect.MAV_CMD_NAV_SCRIPT_TIME,
-        dialect.MAV_CMD_NAV_ATTITUDE_TIME,
-    }
-)
 
-#: Commands of items that are at a place.
-PLACED = frozenset(
-    {
-        dialect.MAV_CMD_NAV_WAYPOINT,
-        dialect.MAV_CMD_NAV_LOITER_UNLIM,
-        dialect.MAV_CMD_NAV_LOITER_TURNS,
-        dialect.MAV_CMD_NAV_LOITER_TIME,
-        dialect.MAV_CMD_NAV_LOITER_TO_ALT,
-        dialect.MAV_CMD_NAV_LAND,
-        dialect.MAV_CMD_NAV_VTOL_LAND,
-        dialect.MAV_CMD_NAV_TAKEOFF,
-        dialect.MAV_CMD_NAV_VTOL_TAKEOFF,
-        dialect.MAV_CMD_NAV_PAYLOAD_PLACE,
-        dialect.MAV_CMD_NAV_SPLINE_WAYPOINT,
-        dialect.MAV_CMD_NAV_ARC_WAYPOINT,
-        dialect.MAV_CMD_DO_ORBIT,
-        dialect.MAV_CMD_DO_REPOSITION,
-    }
-)
-#: Commands that make another item the current one.
-JUMPS = (
-    dialect.MAV_CMD_DO_JUMP,
-    dialect.MAV_CMD_DO_JUMP_TAG,
-    dialect.MAV_CMD_DO_SET_MISSION_CURRENT,
-)
 
-#: Commands whose path is a curve that begins at the place before.
-CURVES = (dialect.MAV_CMD_NAV_SPLINE_WAYPOINT, dialect.MAV_CMD_NAV_ARC_WAYPOINT)
+@dataclass(frozen=True, slots=True)
+class Climb:
+    """How high it returns: `height` above its destination, after a climb by `least`; metres, and by name."""
+
+    height: float
+    name: str
+    least: float = 0.0
+    least_name: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,8 +37,8 @@ class Situation:
     """What is known of the vehicle beside its mission.
 
     `home` is None as long as the vehicle has not told it, `here` (metres of home) likewise. `loiter` is the
-    radius in metres of a circle whose item names none, `climbs` the height above home in metres at which it
-    returns with the name of that parameter; None where they are not known. `rally` are its rally points.
+    radius in metres of a circle whose item names none, `climb` how high it returns; None where they are not
+    known. `rally` are its rally points.
     `begins_here` is set when the mission starts now from where the vehicle is.
     """
 
@@ -93,24 +47,9 @@ class Situation:
     home: Place | None
     here: Vector | None
     loiter: float | None = None
-    climbs: tuple[float, str] | None = None
+    climb: Climb | None = None
     rally: Sequence[Item] = ()
     begins_here: bool = False
-
-
-def begins_with_takeoff(items: Sequence[Item]) -> bool:
-    """Whether the first item that is flown is a takeoff: cameras, speeds and delays may come before it."""
-    flown = next((item.command for item in items if _is_flown(item.command)), None)
-    return flown in TAKEOFFS
-
-
-def _is_flown(command: int) -> bool:
-    return (command < _LAST_FLOWN and command not in _NOT_FLOWN) or command in _FLOWN
-
-
-def has_command(items: Sequence[Item], *commands: int) -> bool:
-    """Whether one of the items is of these commands."""
-    return any(item.command in commands for item in items)
 
 
 class MissionCheck:
@@ -240,12 +179,14 @@ class MissionCheck:
     def speed(self, number: int, item: Item) -> None:
         """Speeds in air (0) and over ground (1) count; those of climb (2) and descent (3) do not.
 
-        -1 changes nothing. A throttle (parameter 3) drives what is no copter at a speed that nobody knows.
+        A rover drives each of them, whatever its kind is. -1 changes nothing. A throttle (parameter 3) drives
+        what is no copter at a speed that nobody knows.
         """
         kind, speed, throttle = item.parameters[:3]
-        if kind in (2.0, 3.0) or not self._limits.bounds_speed:
+        climbs = kind in (2.0, 3.0)
+        if (climbs and self._at.kind != "rover") or not self._limits.bounds_speed:
             return
-        if kind not in (0.0, 1.0) or (throttle > 0.0 and self._at.kind != "copter"):
+        if not (climbs or kind in (0.0, 1.0)) or (throttle > 0.0 and self._at.kind != "copter"):
             self.refuse(number, item)
         if speed != -1.0:
             self._check_speed(number, item, speed)
@@ -258,15 +199,22 @@ class MissionCheck:
     def back(self, number: int, item: Item) -> None:
         """Home, or to a rally point, at a height of the autopilot's own."""
         if self._limits.bounds_heights and self._at.kind != "rover":
-            if self._at.climbs is None:
+            climb = self._at.climb
+            if climb is None:
                 raise self._wrong(number, item, "the height at which it returns is not known")
-            height, parameter = self._at.climbs
-            self._limits.check_return(f"{self._what}: item {number}", height, parameter)
+            self._limits.check_return(f"{self._what}: item {number}", climb.height, climb.name)
+            if climb.least:
+                highest = max((-place[2] for _, place in self._places()), default=0.0)
+                self._limits.check_return(
+                    f"{self._what}: item {number}", highest + climb.least, climb.least_name
+                )
         for index, point in enumerate(self._at.rally):
             self.rally_point(index, point)
 
     def rally_point(self, number: int, item: Item) -> None:
-        """Where a return may lead."""
+        """Where a return may lead; PX4's heights of a return are about its destination."""
+        if self._at.px4 and self._at.climb is not None:
+            item = replace(item, z=item.z + self._at.climb.height)
         self._check_goal(number, item, words=f"{self._what}: rally point {number}")
 
     def fence(self, number: int, item: Item) -> None:
@@ -368,7 +316,7 @@ class MissionCheck:
             self._path = [
                 (number, self._position(item))
                 for number, item in enumerate(self._items)
-                if item.command in PLACED and _is_flown(item.command)
+                if item.command in PLACED and is_flown(item.command)
             ]
         return self._path
 

@@ -14,7 +14,8 @@ from collections.abc import Callable, Mapping, Sequence
 from lfield.driver import DeviceError
 from lfield_mavlink.limits import Limits
 from lfield_mavlink.link.dialect import dialect
-from lfield_mavlink.services.mission_check import JUMPS, MissionCheck, Situation
+from lfield_mavlink.services.mission_check import MissionCheck, Situation
+from lfield_mavlink.services.mission_commands import JUMPS
 from lfield_mavlink.services.plan_items import Item
 
 Rule = Callable[[MissionCheck, int, Item], None]

@@ -128,7 +128,8 @@ class PlanTransfer:
     async def _download(self, kind: PlanKind) -> list[Item]:
         system = self._peer.system
         ask_list = dialect.MAVLink_mission_request_list_message(system, AUTOPILOT, int(kind))
-        count: int = (await self._ask(kind, ask_list, lambda m: m.get_msgId() == _COUNT)).count
+        told = await self._ask(kind, ask_list, lambda m: m.get_msgId() == _COUNT or _has_none(m))
+        count: int = 0 if told.get_msgId() == _ACK else told.count
         if count > MAX_ITEMS:
             raise self._peer.error(f"it says that its {kind.word} has {count} items; {MAX_ITEMS} is the most")
         items = [await self._item(kind, number) for number in range(count)]
@@ -179,6 +180,12 @@ def mission_result_words(result: int) -> str:
     entry = dialect.enums["MAV_MISSION_RESULT"].get(result)
     name = entry.name.removeprefix("MAV_MISSION_") if entry is not None else "unknown result"
     return f"{name} ({result})"
+
+
+def _has_none(message: Any) -> bool:
+    """Whether it answers that it has no rally points at all, as some autopilots do."""
+    is_refusal = message.get_msgId() == _ACK and message.type == dialect.MAV_MISSION_UNSUPPORTED
+    return bool(is_refusal and message.mission_type == PlanKind.RALLY)
 
 
 def _is_of(message: Any, kind: PlanKind) -> bool:

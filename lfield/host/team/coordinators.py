@@ -11,7 +11,7 @@ from functools import partial
 
 from lfield.clock import Clock
 from lfield.errors import BlockError
-from lfield.host.effects import CHANGED, Effect, Keep, Say
+from lfield.host.effects import CHANGED, Complain, Effect, Keep, Say
 from lfield.host.sight.hops import Hops
 from lfield.host.team.absent import Absent
 from lfield.host.team.keeping import Keeping, Recovery, asleep, explanation
@@ -370,7 +370,7 @@ class Coordinators:
             case mobile.Finished():
                 self._drop(effect)
             case mobile.Note():
-                self.say(effect.reason)
+                self._out(Complain(effect.reason))
 
     def _resume(self, agent: Agent, kind: str, reason: str, *, recovered: bool = False) -> None:
         """Let a frozen coordinator go on with an exception, which names the resource that it has called."""

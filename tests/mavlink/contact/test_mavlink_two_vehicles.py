@@ -51,6 +51,23 @@ def with_twin(bench, twin):
     return bench
 
 
+def both_hear(bench, twin):
+    """One link with one far end, such as a router: both get all that is sent."""
+    bench._fakes = [*bench._fakes, twin.live]
+
+    def join():
+        link = bench.links[twin.link]
+        send = link.send
+
+        def to_both(data):
+            send(data)
+            asyncio.get_running_loop().call_soon(twin.hears, data)
+
+        link.send = to_both
+
+    return join
+
+
 def commands(packets, number):
     reader = Reader()
     found = [message for data in packets for message in reader.feed(data)]
@@ -117,6 +134,82 @@ def test_in_flight_the_first_is_kept_and_the_other_ignored(bench, flavour):
 
     b.run(mission)
     assert sum(SECOND in note and "ignored" in note for note in b.notes) == 1
+
+
+@BOTH
+@pytest.mark.parametrize("later", [False, True])
+def test_a_vehicle_that_falls_silent_in_flight_is_not_replaced(bench, flavour, later):
+    """By the other one that sends beside it, or that is switched on while it is silent."""
+    b = bench(flavour=flavour, endpoint=PORT, board=BOARD)
+    twin = Twin(b, flavour)
+    twin.there = False
+    with_twin(b, twin)
+    passes, silent = b.filter, False
+    b.filter = lambda link, packet: None if silent else passes(link, packet)
+
+    async def mission(fc):
+        nonlocal silent
+        b.links[0].send_to = lambda data, address: (
+            b.links[0].send(data) if address == FIRST else twin.hears(data)
+        )
+        await fc.execute("arm", [])
+        await fc.execute("takeoff", [5.0])
+        twin.there = not later
+        await asyncio.sleep(2.0)
+        silent = True
+        await asyncio.sleep(2.0)
+        twin.there = True
+        await asyncio.sleep(6.0)
+        with pytest.raises(DeviceError, match="two vehicles") as error:
+            await fc.execute("hold", [])
+        assert SECOND in error.value.reason
+        silent = False
+        await b.until(lambda: fc.silence < 1.0)
+        await fc.make_safe()
+        await b.until(lambda: not b.values["armed"])
+        assert not b.autopilot.armed
+
+    b.run(mission)
+    assert any(SECOND in note and "ignored" in note for note in b.notes)
+
+
+@BOTH
+@pytest.mark.parametrize("head_start", [0.0, 0.5, 30.0])
+def test_two_vehicles_behind_a_router_are_not_armed(bench, flavour, head_start):
+    b = bench(flavour=flavour, board=BOARD)
+    twin = Twin(b, flavour, address="")
+    twin.fake.autopilot.parameters.update(b.autopilot.parameters)
+    twin.fake.autopilot.apply_parameters()
+    join = both_hear(b, twin)
+
+    async def mission(fc):
+        join()
+        if head_start:
+            twin.fake.advance(head_start)
+        await asyncio.sleep(2.0)
+        with pytest.raises(DeviceError, match="arm refused: two vehicles send as system 1, both over udp:"):
+            await fc.execute("arm", [])
+        assert not b.autopilot.armed
+        assert not twin.fake.autopilot.armed
+        twin.there = False
+        await asyncio.sleep(6.0)
+        await fc.execute("arm", [])
+
+    b.run(mission)
+    assert sum("cannot be kept apart" in note for note in b.notes) == 1
+
+
+def test_a_vehicle_that_was_swapped_in_a_moment_is_not_armed(bench):
+    b = bench(board=BOARD)
+
+    async def mission(fc):
+        await asyncio.sleep(1.0)
+        b.autopilot.board = BOARD + 1
+        with pytest.raises(DeviceError, match="another vehicle answers: its board is"):
+            await fc.execute("arm", [])
+        assert not commands(b.sent, dialect.MAV_CMD_COMPONENT_ARM_DISARM)
+
+    b.run(mission)
 
 
 @pytest.mark.parametrize("same", [False, True])
@@ -237,7 +330,11 @@ def test_a_vehicle_that_does_not_tell_its_board_after_a_reconnection_gets_no_com
     b.run(mission)
 
 
-@pytest.mark.parametrize(("kind", "autopilot"), [(6, 8), (18, 8), (18, 3), (6, 3), (2, 8), (0, 8)])
+@pytest.mark.few(4)
+@pytest.mark.parametrize(
+    ("kind", "autopilot"),
+    [(6, 8), (18, 8), (18, 3), (6, 3), (2, 8), (0, 8), (34, 0), (27, 3), (42, 12), (5, 3), (2, 0), (0, 0)],
+)
 def test_heartbeats_of_what_is_no_autopilot_are_ignored_and_reported(bench, kind, autopilot):
     b = bench(endpoint=PORT, board=BOARD)
     station = dialect.MAVLink(None, srcSystem=1, srcComponent=1)

@@ -28,13 +28,19 @@ def version(uid=0, uid2=b"", firmware=7):
     )
 
 
-def run(sources, seconds, *senders, start=0.0, every=1.0):
-    """Heartbeats of each sender for so many seconds; which of them were believed last."""
+def run(sources, seconds, *senders, start=0.0, every=1.0, boards=None):
+    """Heartbeats of each sender for so many seconds; which of them were believed last.
+
+    Who is asked for its board answers with its message of `boards`, if it has one there.
+    """
     believed = {}
     for number in range(round(seconds / every) + 1):
         for offset, sender in enumerate(senders):
             now = start + number * every + 0.01 * offset
             believed[sender] = sources.on_packet(sender, beat(), now)
+            for asked in sources.due(now):
+                if boards and asked in boards:
+                    believed[asked] = sources.on_packet(asked, boards[asked], now)
     return believed
 
 
@@ -58,10 +64,11 @@ def test_two_addresses_that_both_keep_sending_are_two_vehicles():
 def test_an_address_that_falls_silent_was_the_vehicle_s_own():
     s = Sources(1, LINKS[:1])
     run(s, 5.0, A)
-    assert run(s, 1.0, B, start=5.5) == {B: False}
+    s.on_packet(A, SAME, 5.0)
+    assert run(s, 1.0, B, start=5.5, boards={B: SAME}) == {B: False}
     assert s.conflict(6.6) == ""
     assert not s.is_settled(6.6)
-    assert run(s, 4.0, B, start=7.5) == {B: True}
+    assert run(s, 4.0, B, start=7.5, boards={B: SAME}) == {B: True}
     assert (s.moves, s.conflict(12.0), s.is_settled(12.0)) == (1, "", True)
     assert s.events == [
         "heard from udpin:0.0.0.0:14550 from 10.0.0.6:14555, no longer from "
@@ -75,9 +82,51 @@ def test_packets_of_the_old_address_that_come_late_are_no_conflict():
     run(s, 5.0, A)
     assert not s.on_packet(B, beat(), 5.2)
     assert s.on_packet(A, attitude(5.0), 5.5)
-    run(s, 5.0, B, start=6.2)
+    run(s, 8.0, B, start=6.2)
     assert s.events == [s.events[0]]
     assert s.moves == 1
+
+
+@pytest.mark.parametrize("first", [A, B])
+@pytest.mark.parametrize("told", [True, False])
+def test_another_vehicle_is_never_taken_for_one_that_has_fallen_silent(first, told):
+    """Whichever was heard beside it, or only after it; also where no board tells an id."""
+    s = Sources(1, LINKS[:1])
+    mine, others = (SAME, version(uid2=b"abd")) if told else (version(), version())
+    run(s, 5.0, A)
+    s.on_packet(A, mine, 5.0)
+    if first == B or not told:
+        run(s, 5.0, A, B, start=6.0, boards={B: others})
+    assert run(s, 20.0, B, start=12.0, boards={B: others}) == {B: False}
+    assert B.address in s.conflict(32.1)
+    assert (s.address(0), s.moves) == (A.address, 0)
+    # It is heard again, and kept.
+    assert run(s, 5.0, A, B, start=33.0) == {A: True, B: False}
+    run(s, 20.0, A, start=40.0)
+    assert s.conflict(60.1) == ""
+
+
+def test_an_address_that_was_called_a_second_vehicle_by_mistake_is_followed_once_its_board_is_known():
+    s = Sources(1, LINKS[:1])
+    run(s, 5.0, A)
+    s.on_packet(A, SAME, 5.0)
+    # Packets of the old address are on their way for long.
+    run(s, 3.0, B, start=5.5)
+    s.on_packet(A, attitude(9.0), 8.4)
+    s.on_packet(B, beat(), 8.5)
+    assert s.conflict(8.6) != ""
+    assert run(s, 5.0, B, start=11.5, boards={B: SAME}) == {B: True}
+    assert (s.conflict(17.0), s.address(0)) == ("", B.address)
+
+
+def test_a_restarted_vehicle_may_come_from_another_address():
+    s = Sources(1, LINKS[:1])
+    run(s, 5.0, A)
+    for source, told, clock, now in ((A, SAME, 500.0, 5.0), (B, SAME, 1.0, 9.0)):
+        s.on_packet(source, beat(), now)
+        s.on_packet(source, attitude(clock), now)
+        s.on_packet(source, told, now)
+    assert s.address(0) == B.address
 
 
 def test_what_has_sent_no_heartbeat_is_no_vehicle():
@@ -144,6 +193,12 @@ def test_two_vehicles_over_two_links_are_told_by_their_boards(first, second):
     )
 
 
+def test_two_simulators_with_one_id_are_told_by_their_clocks():
+    for clock, same in ((100.0, True), (104.0, True), (130.0, False), (None, True)):
+        s, _ = two_links(SAME, SAME, (100.0, clock))
+        assert s.accepts(RADIO) is same
+
+
 @pytest.mark.parametrize("told", [version(), None])
 @pytest.mark.parametrize(("clock", "same"), [(100.0, True), (101.0, True), (140.0, False), (None, True)])
 def test_boards_without_an_id_are_told_by_their_clocks(told, clock, same):
@@ -172,6 +227,26 @@ def test_two_vehicles_behind_one_address_are_told_by_their_clocks():
         s.on_packet(CABLE, attitude(20.0 + number), 0.2 + number)
     assert s.conflict(4.0) == "two vehicles send as system 1, both over tcp:127.0.0.1:5760"
     assert s.conflict(10.0) == ""
+
+
+def test_two_vehicles_behind_one_address_are_told_by_their_answers():
+    s = Sources(1, ["udp:127.0.0.1:14550"])
+    s.on_packet(CABLE, beat(), 0.0)
+    for now, told in ((1.0, SAME), (1.1, version(uid2=b"abd")), (1.3, SAME)):
+        assert s.conflict(now) == ""
+        assert s.on_packet(CABLE, told, now)
+    assert s.conflict(1.3) == "two vehicles send as system 1, both over udp:127.0.0.1:14550"
+    assert len(s.events) == 1
+    s.on_packet(CABLE, beat(), 10.0)
+    assert s.conflict(10.0) == ""
+
+
+def test_a_vehicle_in_the_place_of_another_is_not_two():
+    s = Sources(1, ["udp:127.0.0.1:14550"])
+    s.on_packet(CABLE, beat(), 0.0)
+    for now, told in ((1.0, SAME), (1.2, version(uid2=b"abd")), (1.4, version(uid2=b"abd")), (4.4, SAME)):
+        s.on_packet(CABLE, told, now)
+        assert s.conflict(now) == ""
 
 
 def test_a_restart_and_packets_that_overtake_are_no_second_vehicle():

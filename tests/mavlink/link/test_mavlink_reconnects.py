@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import socket
-from contextlib import asynccontextmanager
+from contextlib import asynccontextmanager, suppress
 
 import pytest
 
@@ -46,21 +46,23 @@ class Story:
 
 
 @asynccontextmanager
-async def tcp_server(host):
-    """Greets each client, and never hangs up."""
+async def tcp_server(host, port=0, greeting=b"hello"):
+    """Greets each client, and closes the connections when the test ends."""
     clients = []
 
     async def serve(_, writer):
         clients.append(writer)
-        writer.write(b"hello")
+        writer.write(greeting)
 
-    server = await asyncio.start_server(serve, host.strip("[]"), 0)
+    server = await asyncio.start_server(serve, host.strip("[]"), port)
     try:
         yield clients, server.sockets[0].getsockname()[1]
     finally:
         server.close()
         for writer in clients:
             writer.close()
+            with suppress(OSError):
+                await writer.wait_closed()
 
 
 @pytest.mark.parametrize("host", HOSTS)
@@ -96,7 +98,7 @@ def resolving(monkeypatch, *answers):
             raise answer
         family = socket.AF_INET6 if ":" in answer else socket.AF_INET
         found = await asyncio.get_running_loop().getaddrinfo(
-            answer, self._port, type=self._kind, family=family
+            answer, self.port, type=self._kind, family=family
         )
         return [(found[0][0], tuple(found[0][4]))]
 
@@ -114,11 +116,10 @@ def test_a_tcp_connection_follows_its_name(monkeypatch, after):
             link = story.link(f"tcp:robot.local:{port}")
             await link.open()
             await until(lambda: b"hello" in story.got)
-            second = await asyncio.start_server(lambda _, w: w.write(b"there"), after, port)
-            clients[0].transport.abort()
-            await until(lambda: b"there" in story.got)
-            link.close()
-            second.close()
+            async with tcp_server(after, port, b"there"):
+                clients[0].transport.abort()
+                await until(lambda: b"there" in story.got)
+                link.close()
         assert any("Temporary failure in name resolution (attempt 1)" in note for note in story.notes)
         assert any(f"connected to {after}, after" in note for note in story.notes)
 
@@ -293,3 +294,32 @@ def test_what_the_log_says_of_attempts_is_said_once_in_a_while():
     assert line == "tcp:10.0.0.5:5760 is open again: connected to 10.0.0.6, after 62 attempts and 62 s"
     tries.works()
     assert tries.lost("it hung up", 64.0) != ""
+
+
+def test_of_many_addresses_that_do_not_answer_none_delays_the_one_that_does(monkeypatch):
+    async def talk():
+        story = Story()
+        async with tcp_server("127.0.0.1") as (_, port):
+            with socket.socket() as hole:
+                # Its queue is full: nothing is answered.
+                hole.bind(("127.0.0.9", port))
+                hole.listen(0)
+                callers = [socket.socket() for _ in range(3)]
+                for caller in callers:
+                    caller.setblocking(False)
+                    caller.connect_ex(hole.getsockname())
+                silent = [(socket.AF_INET, ("127.0.0.9", port))] * 6
+
+                async def addresses(self, within):
+                    return [*silent, (socket.AF_INET, ("127.0.0.1", port))]
+
+                monkeypatch.setattr(Lookup, "addresses", addresses)
+                link = story.link(f"tcp:robot.local:{port}")
+                await link.open()
+                await until(lambda: story.got)
+                link.close()
+                for caller in callers:
+                    caller.close()
+
+    monkeypatch.setattr("lfield.connecting.STAGGER", 0.01)
+    asyncio.run(talk())

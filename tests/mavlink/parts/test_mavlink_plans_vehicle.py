@@ -445,6 +445,87 @@ def test_items_inside_the_limits_are_flown(bench, flavour, number):
 
 
 @BOTH
+def test_a_mission_that_another_station_changes_meanwhile_is_held(bench, flavour):
+    b = bench(flavour=flavour, limits={"radius": 50.0})
+
+    async def mission(fc):
+        await fly_up(fc)
+        await fc.plans.upload(PlanKind.MISSION, [plan_item(b, 16, 20.0)])
+        download = fc.plans.download
+
+        async def changed(kind):
+            items = await download(kind)
+            await fc.plans.upload(PlanKind.MISSION, [plan_item(b, 16, 900.0)])
+            return items
+
+        fc.plans.download = changed
+        with pytest.raises(DeviceError, match=r"startMission: it holds, since .* beyond the limit of 50 m"):
+            await fc.execute("startMission", [])
+        await asyncio.sleep(5.0)
+        assert abs(b.values["position"][0]) < 10.0
+        assert b.values["mode"] != fc.profile.mission
+
+    b.run(mission)
+
+
+def test_a_mission_in_its_middle_is_not_begun_on_the_ground(bench):
+    b = bench()
+
+    async def mission(fc):
+        await fc.plans.upload(PlanKind.MISSION, [plan_item(b, 22), plan_item(b, 16, 9.0), plan_item(b, 21)])
+        await fc.execute("arm", [])
+        await fc.execute("startMission", [])
+        await until(lambda: not b.values["armed"])
+        # It is over, and begins anew.
+        await fc.execute("arm", [])
+        await fc.execute("startMission", [])
+        await until(lambda: b.values["missionItem"] == 1)
+        await fc.execute("land", [])
+        await fc.execute("arm", [])
+        with pytest.raises(DeviceError, match=r"stands on the ground, and waypoint 1 is no takeoff"):
+            await fc.execute("startMission", [])
+        await fc.execute("setMissionItem", [0])
+        await fc.execute("startMission", [])
+
+    b.run(mission)
+
+
+@BOTH
+def test_a_return_is_held_to_the_limits(bench, flavour):
+    """Its height, the rally points, and the mission that PX4 may return by."""
+    b = bench(flavour=flavour, limits={"radius": 50.0, "altitude": 30.0})
+    parameters, px4 = b.autopilot.parameters, flavour == "px4"
+
+    async def refused(fc, words):
+        for name, values in (("returnHome", []), ("setMode", [fc.profile.home])):
+            with pytest.raises(DeviceError, match=rf"{name}.*{words}"):
+                await fc.execute(name, values)
+
+    async def mission(fc):
+        await fly_up(fc)
+        parameters["RTL_RETURN_ALT" if px4 else "RTL_ALT"] = 20.0 if px4 else 2000.0
+        await fc.plans.upload(PlanKind.RALLY, [plan_item(b, 5100, 20.0), plan_item(b, 5100, 90.0)])
+        await refused(fc, "rally point 1 refused: 90.0 m from home")
+        await fc.plans.upload(PlanKind.RALLY, [plan_item(b, 5100, 20.0, height=31.0)])
+        await refused(fc, "rally point 0 refused: .* above the limit of 30 m")
+        await fc.plans.upload(PlanKind.RALLY, [plan_item(b, 5100, 20.0)])
+        if px4:
+            parameters["RTL_TYPE"] = 1
+            await fc.plans.upload(PlanKind.MISSION, [Item(189, 2, 0, 0), plan_item(b, 21, 90.0)])
+            await refused(fc, r"by its mission \(RTL_TYPE 1\): waypoint 1 refused: 90.0 m")
+            parameters["RTL_TYPE"] = 0
+        else:
+            parameters["RTL_CLIMB_MIN"] = 2600.0
+            await refused(fc, r"climb to 3[01].* m \(RTL_CLIMB_MIN\)")
+            parameters["RTL_CLIMB_MIN"] = 0.0
+            with pytest.raises(DeviceError, match="AUTO_RTL would fly the mission"):
+                await fc.execute("setMode", ["auto_rtl"])
+        await fc.execute("returnHome", [])
+
+    b.run(mission)
+
+
+@BOTH
 def test_rally_points_beyond_the_limits_are_refused(bench, flavour):
     b = bench(flavour=flavour, limits={"radius": 50.0})
 

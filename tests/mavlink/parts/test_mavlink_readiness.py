@@ -160,7 +160,9 @@ def test_a_warm_copter_is_armed_right_after_it_was_opened(bench, gap):
     assert b.autopilot.armed
 
 
-def test_one_that_refuses_since_it_has_not_noticed_us_is_armed_again(bench):
+def test_one_that_refuses_since_it_has_not_noticed_us_is_armed_again(bench, monkeypatch):
+    # It would be noticed while its unique id is asked for.
+    monkeypatch.setattr("lfield_mavlink.vehicle.SECOND", 0.0)
     b = bench(ttl=1.0, waivers=())
     deliver = b.filter
 

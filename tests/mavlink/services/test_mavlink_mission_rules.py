@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import struct
 
 import pytest
 
@@ -12,7 +13,8 @@ from lfield_mavlink import PLUGIN
 from lfield_mavlink.geo import Place
 from lfield_mavlink.limits import Limits
 from lfield_mavlink.link.dialect import dialect
-from lfield_mavlink.services.mission_check import HERE, Situation, begins_with_takeoff
+from lfield_mavlink.services.mission_check import HERE, Climb, Situation
+from lfield_mavlink.services.mission_commands import begins_with_takeoff
 from lfield_mavlink.services.mission_paths import arc_corners, spline_corners
 from lfield_mavlink.services.mission_rules import RULES, check_mission
 from lfield_mavlink.services.plan_items import Item, place
@@ -131,6 +133,34 @@ def test_numbers_beside_the_place(bad, good):
     assert refusal(bad, limits={}) == ""
 
 
+def on_the_wire(value):
+    """As a float of 32 bits, which may be above the number."""
+    return struct.unpack("f", struct.pack("f", value))[0]
+
+
+@pytest.mark.parametrize("limit", [2.7, 5.4, 0.1, 12.3, 25.6])
+def test_a_value_at_its_limit_is_inside_as_the_wire_rounds_it(limit):
+    speed = item("DO_CHANGE_SPEED", p=(1.0, on_the_wire(limit)))
+    assert refusal(speed, limits={"speed": limit}) == ""
+    assert "above the limit" in refusal(
+        item("DO_CHANGE_SPEED", p=(1.0, limit + 1e-3)), limits={"speed": limit}
+    )
+    for frame, base in ((ABOVE_HOME, 0.0), (SEA, HOME.altitude)):
+        high = item("NAV_WAYPOINT", height=on_the_wire(base + limit), frame=frame)
+        assert refusal(high, limits={"altitude": limit}) == ""
+        higher = item("NAV_WAYPOINT", height=base + limit + 0.01, frame=frame)
+        assert "above the limit" in refusal(higher, limits={"altitude": limit})
+    assert refusal(item("NAV_WAYPOINT", -limit), limits={"radius": limit}) == ""
+    assert "beyond" in refusal(item("NAV_WAYPOINT", -limit - 0.05), limits={"radius": limit})
+
+
+@pytest.mark.parametrize("kind", [0.0, 1.0, 2.0, 3.0])
+def test_a_rover_drives_at_every_kind_of_speed(kind):
+    assert "above the limit" in refusal(item("DO_CHANGE_SPEED", p=(kind, 6.0)), kind="rover")
+    assert refusal(item("DO_CHANGE_SPEED", p=(kind, 5.0)), kind="rover") == ""
+    assert (refusal(item("DO_CHANGE_SPEED", p=(kind, 6.0)), kind="plane") == "") is (kind > 1.0)
+
+
 def test_a_change_of_home_matters_only_where_places_are_limited():
     assert "changes home" in refusal(item("DO_SET_HOME", 10.0), limits={"altitude": 30.0})
     assert refusal(item("DO_SET_HOME", 10.0), limits={"speed": 5.0}) == ""
@@ -169,14 +199,24 @@ def test_a_radius_that_is_not_given_is_that_of_a_parameter():
 
 def test_a_return_climbs_and_may_lead_to_a_rally_point():
     back = item("NAV_RETURN_TO_LAUNCH", frame=MISSION)
-    assert refusal(back, climbs=(15.0, "RTL_ALT")) == ""
-    assert "RTL_ALT" in refusal(back, climbs=(40.0, "RTL_ALT"))
+    assert refusal(back, climb=Climb(15.0, "RTL_ALT")) == ""
+    assert "RTL_ALT" in refusal(back, climb=Climb(40.0, "RTL_ALT"))
     assert "height at which it returns is not known" in refusal(back)
     assert refusal(back, limits={"radius": 100.0}) == ""
     assert refusal(back, kind="rover") == ""
     rally = item("NAV_RALLY_POINT", 500.0)
-    assert "rally point 0" in refusal(back, climbs=(15.0, "RTL_ALT"), rally=[rally])
-    assert refusal(back, climbs=(15.0, "RTL_ALT"), rally=[item("NAV_RALLY_POINT", 50.0)]) == ""
+    assert "rally point 0" in refusal(back, climb=Climb(15.0, "RTL_ALT"), rally=[rally])
+    near = [item("NAV_RALLY_POINT", 50.0)]
+    assert refusal(back, climb=Climb(15.0, "RTL_ALT"), rally=near) == ""
+    # PX4 returns at its height above the rally point, which is 10 m up.
+    assert refusal(back, climb=Climb(15.0, "RTL_RETURN_ALT"), rally=near, px4=True) == ""
+    assert "rally point 0" in refusal(back, climb=Climb(25.0, "RTL_RETURN_ALT"), rally=near, px4=True)
+
+
+def test_a_return_that_climbs_on_is_held_to_the_limit_from_the_highest_place():
+    back, climb = item("NAV_RETURN_TO_LAUNCH", frame=MISSION), Climb(15.0, "RTL_ALT", 10.0, "RTL_CLIMB_MIN")
+    assert refusal(item("NAV_WAYPOINT", height=20.0), back, climb=climb) == ""
+    assert "climb to 31 m (RTL_CLIMB_MIN)" in refusal(item("NAV_WAYPOINT", height=21.0), back, climb=climb)
 
 
 def test_a_rover_has_no_heights():

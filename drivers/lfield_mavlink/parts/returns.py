@@ -1,0 +1,81 @@
+"""Where the autopilot's own return leads, held against the limits: its height, rally points, a mission.
+
+ArduPilot: https://ardupilot.org/copter/docs/rtl-mode.html; PX4: https://docs.px4.io/main/en/flight_modes/return.html
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from lfield_mavlink.contact.contact import Contact
+from lfield_mavlink.limits import Limits
+from lfield_mavlink.modes import ARDUPILOT, PX4
+from lfield_mavlink.services.mission_check import Climb, Situation
+from lfield_mavlink.services.mission_rules import check_mission, check_rally
+from lfield_mavlink.services.parameters import Parameters
+from lfield_mavlink.services.plan_items import Item, PlanKind
+from lfield_mavlink.services.plan_transfer import PlanTransfer
+
+#: How high above its destination it returns at least, and by how much it climbs at least: parameters by their
+#: names, and in how many units to a metre.
+_HEIGHTS: Mapping[tuple[int, str], Mapping[str, float]] = {
+    (ARDUPILOT, "copter"): {"RTL_ALT_M": 1.0, "RTL_ALT": 100.0},
+    (ARDUPILOT, "plane"): {"RTL_ALTITUDE": 1.0, "ALT_HOLD_RTL": 100.0},
+    (PX4, "copter"): {"RTL_RETURN_ALT": 1.0},
+    (PX4, "plane"): {"RTL_RETURN_ALT": 1.0},
+}
+_CLIMBS: Mapping[tuple[int, str], Mapping[str, float]] = {
+    (ARDUPILOT, "copter"): {"RTL_CLIMB_MIN_M": 1.0, "RTL_CLIMB_MIN": 100.0},
+}
+#: Values of PX4's RTL_TYPE by which a return may fly the mission, or to its landing.
+_BY_MISSION = frozenset({1, 2, 3, 4})
+
+
+class Returns:
+    """What a return does, as parameters and plans of the vehicle say."""
+
+    def __init__(self, vehicle: Contact, limits: Limits, parameters: Parameters, plans: PlanTransfer) -> None:
+        self._vehicle, self._limits = vehicle, limits
+        self._parameters, self._plans = parameters, plans
+
+    async def climb(self) -> Climb | None:
+        """How high it returns; None where that is not limited or not known. Raises DeviceError."""
+        profile = self._vehicle.profile
+        key = profile.autopilot, profile.kind
+        if not self._limits.bounds_heights or key not in _HEIGHTS:
+            return None
+        height, name = await self.metres(_HEIGHTS[key])
+        least, least_name = await self.metres(_CLIMBS.get(key, {}))
+        return None if height is None else Climb(height, name, least or 0.0, least_name)
+
+    async def rally(self) -> list[Item]:
+        """The rally points, where places are limited. Raises DeviceError."""
+        return await self._plans.download(PlanKind.RALLY) if self._limits.bound_places else []
+
+    async def check(self, what: str) -> None:
+        """Refuse a return that may leave the limits. Raises DeviceError.
+
+        The safe state and the failsafes return all the same.
+        """
+        vehicle, limits, state = self._vehicle, self._limits, self._vehicle.state
+        if not limits.bound_places:
+            return
+        profile, climb = vehicle.profile, await self.climb()
+        if climb is not None:
+            limits.check_return(what, climb.height, climb.name)
+            if climb.least:
+                limits.check_return(what, max(state.height or 0.0, 0.0) + climb.least, climb.least_name)
+        home = state.home if state.knows_frames else None
+        at = Situation(profile.kind, profile.px4, home, state.position, climb=climb)
+        check_rally(what, await self.rally(), limits, vehicle.error, at)
+        kind = await self._parameters.read("RTL_TYPE") if profile.px4 else None
+        if kind is not None and int(kind) in _BY_MISSION:
+            items = await self._plans.download(PlanKind.MISSION)
+            check_mission(f"{what} by its mission (RTL_TYPE {kind:g})", items, limits, vehicle.error, at)
+
+    async def metres(self, units: Mapping[str, float]) -> tuple[float | None, str]:
+        """The first of these parameters that the vehicle has, in metres, and its name. Raises DeviceError."""
+        if not units:
+            return None, ""
+        name, value = await self._parameters.read_any(units)
+        return (None if value is None else abs(value) / units[name]), name
