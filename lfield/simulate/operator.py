@@ -9,7 +9,8 @@ from __future__ import annotations
 import asyncio
 import random
 from collections import Counter, defaultdict
-from collections.abc import Awaitable, Callable, Coroutine, Mapping
+from collections.abc import Awaitable, Callable, Coroutine, Iterator, Mapping
+from contextlib import contextmanager
 from functools import partial
 from typing import Any, Literal, Protocol
 
@@ -59,7 +60,9 @@ class Operator:
         #: Until when the buttons of a kind are held, in true time; and how often each was pressed.
         self._held: dict[Hold, float] = {}
         self.presses: Counter[Hold] = Counter()
-        #: What takes back an order of a kind, until every host has answered.
+        #: What gives an order of a kind, and what takes one back, until every host has answered. A person
+        #: does one of the two at a time.
+        self._pressing: defaultdict[Hold, set[asyncio.Task[None]]] = defaultdict(set)
         self._lifting: defaultdict[Hold, set[asyncio.Task[None]]] = defaultdict(set)
         #: What is to be done with coordinators whose host is gone for good.
         self._orphans: dict[str, Callable[[str, _Answers], Awaitable[bool]]] = {}
@@ -73,21 +76,23 @@ class Operator:
     # --- stop and pause -------------------------------------------------------------------------------
 
     def press(self, hold: Hold, seconds: float) -> None:
-        """Stop or pause the team, and take that back after so many seconds.
-
-        While an earlier one is being taken back, that ends: what is on its way already may come later.
-        """
-        for task in self._lifting.pop(hold, ()):
-            self._process.loop.enter(task.cancel)
+        """Stop or pause the team, and take that back after so many seconds."""
+        self._interrupt(self._lifting.pop(hold, set()))
         self.presses[hold] += 1
         self._held[hold] = max(self._held.get(hold, 0.0), self._fleet.now + seconds)
         self._fleet.later(seconds, partial(self._let_go, hold))
         for place in self._places:
             self._begin(partial(self._order, hold, place))
 
+    def _interrupt(self, tasks: set[asyncio.Task[None]]) -> None:
+        """As by Ctrl-C: what is on its way already may come later."""
+        for task in list(tasks):
+            self._process.loop.enter(task.cancel)
+
     async def _order(self, hold: Hold, place: Place) -> None:
         press = self.presses[hold]
-        answer = await self._ask(place, _request(hold, lift=False))
+        with _listed(self._pressing[hold]):
+            answer = await self._ask(place, _request(hold, lift=False))
         # An answer that comes when the button is let go promises nothing any more.
         if isinstance(answer, EmergencyStopped) and hold in self._held and press == self.presses[hold]:
             self.carried_out[hold] += 1
@@ -106,13 +111,9 @@ class Operator:
             self._begin(partial(self._lift, hold))
 
     async def _lift(self, hold: Hold) -> None:
-        task = asyncio.current_task()
-        assert task is not None
-        self._lifting[hold].add(task)
-        try:
+        self._interrupt(self._pressing.pop(hold, set()))
+        with _listed(self._lifting[hold]):
             await ask_all(self._transport, self._places, _request(hold, lift=True))
-        finally:
-            self._lifting[hold].discard(task)
         if hold == "stop":
             await self._start()
 
@@ -196,6 +197,18 @@ class Operator:
             self._begin(partial(self._lift, hold))
         if self._fleet.gone and not self._starts:
             self._begin(self._start)
+
+
+@contextmanager
+def _listed(tasks: set[asyncio.Task[None]]) -> Iterator[None]:
+    """The task that runs now is one of these meanwhile."""
+    task = asyncio.current_task()
+    assert task is not None
+    tasks.add(task)
+    try:
+        yield
+    finally:
+        tasks.discard(task)
 
 
 def _request(hold: Hold, *, lift: bool) -> Request[EmergencyStopped]:

@@ -75,7 +75,6 @@ class Weather:
     disk_full: float = 0.0
     disk_fail: float = 0.0
     disk_new: float = 0.0
-    disk_slow: float = 0.0
     guard_kill: float = 0.0
     guard_stop: float = 0.0
     swap: float = 0.0
@@ -83,6 +82,7 @@ class Weather:
     estop: float = 0.0
     pause: float = 0.0
     wreck: float = 0.0
+    disk_slow: float = 0.0
 
     def forecast(self, hosts: Sequence[str], dice: random.Random, seconds: float) -> list[Fault]:
         """The faults of so many seconds from now, in their order."""
@@ -110,8 +110,9 @@ class Storm:
         forecast = list(forecast)
         #: The person who gives orders, if anybody has to: `judges` hears what hosts answer.
         self.operator: Operator | None = None
-        if any(fault.kind in (*ORDERS, "gone") for fault in forecast):
-            self.operator = Operator(fleet, judges, random.Random(repr(forecast[0])))
+        self._judges, self._dice = judges, random.Random(repr(forecast[:1]))
+        if any(fault.kind in ORDERS for fault in forecast):
+            self.operator = Operator(fleet, judges, self._dice)
         #: Every fault that struck: when, and what.
         self.faults: list[tuple[float, str]] = []
         self._over = False
@@ -135,6 +136,8 @@ class Storm:
         for disk in self.fleet.disks.values():
             disk.full, disk.broken, disk.slow = False, False, 0.0
         self.fleet.heal_all()
+        if self.fleet.gone and self.operator is None:
+            self.operator = Operator(self.fleet, self._judges, self._dice)
         if self.operator is not None:
             self.operator.free_all()
 

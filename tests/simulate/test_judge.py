@@ -27,29 +27,25 @@ from lfield.simulate.stories.drawing import drawn
 from lfield.simulate.stories.shrink import command, smallest
 from lfield.simulate.stories.story import FOR_EVER, crew, fenced, keeper
 from lfield.simulate.stories.trial import tell
-from lfield.simulate.weather import Weather
 from lfield.vm.memory.layout import W_GENERATION
 
 
 @pytest.mark.few(1)
-@pytest.mark.parametrize("first", range(0, 96, 24))
+@pytest.mark.parametrize("first", range(0, 96, 12))
 def test_stories_of_all_kinds_of_weather_keep_every_promise(first: int) -> None:
-    struck: Counter[str] = Counter()
     calls = restarts = 0
-    for seed in range(first, first + 24):
+    for seed in range(first, first + 12):
         verdict = told(seed)
         assert not verdict.breaches, f"{verdict.breaches[0]}: {command(verdict.story)}"
-        struck.update(fault.kind for fault in verdict.story.forecast)
         calls += verdict.calls
         restarts += verdict.restarts
-    assert calls > 200
-    assert restarts > 5
-    assert set(struck) >= Weather.__dataclass_fields__.keys() - {"guard_kill", "guard_stop"}
+    assert calls > 100
+    assert restarts > 0
 
 
 def test_stories_of_crews_keep_every_promise() -> None:
     calls = recovered = 0
-    for seed in range(16):
+    for seed in range(8):
         verdict = told(seed, crew)
         assert not verdict.breaches, f"{verdict.breaches[0]}: {command(verdict.story)}"
         calls += verdict.calls

@@ -16,7 +16,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """0 when every host goes on, 1 when one refused that, 69 when one did not answer."""
+    """0 when every host goes on, 69 when one did not answer, or refused that."""
     from lfield.operator.addressed import names_of
     from lfield.operator.ask import ask_parties, pause, tell_silent, unheard
 
@@ -37,6 +37,4 @@ def run(args: argparse.Namespace) -> int:
                     print(in_one_line(f"{names[place]}: {device}: {held}"))
     unreached = unheard(answers, names)
     tell_silent(unreached, "NOT REACHED, it stays as it is: ")
-    if unreached:
-        return exits.UNAVAILABLE
-    return exits.FAILED if refused else exits.DONE
+    return exits.UNAVAILABLE if unreached or refused else exits.DONE

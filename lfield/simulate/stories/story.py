@@ -350,7 +350,7 @@ PROGRAMS = {"crew": crews.PROGRAM, "keeper": keepers.PROGRAM, "flown": flown.PRO
 RESERVES = ("keeper", "flown")
 
 
-@lru_cache(maxsize=256)
+@lru_cache(maxsize=16)
 def _mission(
     hosts: int,
     posts: int,

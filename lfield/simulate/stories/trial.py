@@ -107,7 +107,11 @@ def _happen(fleet: Fleet, storm: Storm, judge: Judge, story: Story) -> None:
             fleet.recall(exits.UNHEARD)
         _until(fleet, judge, fleet.now + 1.0)
     if story.hosts > MOST_MEMBERS and not judge.breaches:
-        _until(fleet, judge, fleet.now + SETTLES + story.unreachable_after)
+        settled = fleet.now + SETTLES + story.unreachable_after
+        while fleet.now < settled and not judge.breaches:
+            if storm.operator is not None:
+                storm.operator.free_all()
+            _until(fleet, judge, min(settled, fleet.now + 1.0))
         judge.settled()
         _until(fleet, judge, fleet.now + ROAMS)
     if not judge.breaches:

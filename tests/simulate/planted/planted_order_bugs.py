@@ -52,8 +52,8 @@ def a_pause_leaves_devices_alone(patch: Patch) -> None:
 
 def hasty(seed: int) -> Story:
     """One in which a person often stops the team, takes that back and stops it again, on slow links."""
-    means = {"estop": 2.0, "slow": 0.7}
-    return replace(ordered(seed), means=means)
+    means = {"estop": 1.5, "slow": 0.7}
+    return replace(ordered(seed), cast=2, hosts=2, means=means, weather=25.0, seconds=25.0)
 
 
 def an_order_that_comes_late_ends_a_newer_stop(patch: Patch) -> None:
@@ -78,12 +78,12 @@ ORDER_BUGS = [
     ),
     _bug(a_pause_is_forgotten_by_a_restart, "a host that was started again runs its agents", "pause", 1),
     _bug(a_stop_bars_nobody, "a program releases what a person has stopped", "stop", 2),
-    _bug(a_pause_leaves_devices_alone, "a device goes on with its last setpoint", "pause", 18),
+    _bug(a_pause_leaves_devices_alone, "a device goes on with its last setpoint", "pause", 9),
     _bug(
         an_order_that_comes_late_ends_a_newer_stop,
         "a stop that was pressed after it was given ends by it",
         "stop",
-        39,
+        55,
         hasty,
     ),
     _bug(

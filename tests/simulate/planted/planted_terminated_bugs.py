@@ -65,8 +65,8 @@ def slowly(seed: int) -> Story:
 
 
 TERMINATED_BUGS = [
-    _bug(an_end_is_like_nothing_known, "who knows of the end answers like one that does not", 6),
-    _bug(a_promise_in_spite_of_a_known_end, "whoever is asked for a promise does not look", 6),
+    _bug(an_end_is_like_nothing_known, "who knows of the end answers like one that does not", 45),
+    _bug(a_promise_in_spite_of_a_known_end, "whoever is asked for a promise does not look", 45),
     _bug(
         an_end_is_told_before_it_is_on_disk, "it goes on from that disk, and others have its end", 7, slowly
     ),
