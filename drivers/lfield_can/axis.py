@@ -112,6 +112,7 @@ class CanAxis(Device):
             self.note("it is not heard any more" if silent else "heard again")
             if silent:
                 self.protocol.silent()
+                self.publish(enabled=False, state=self.protocol.state.state)
                 self._news.tell()
             else:
                 # Nobody knows what it did meanwhile: it comes back standing.
@@ -237,6 +238,8 @@ class CanAxis(Device):
 
     def _check_heard(self) -> None:
         if self._silence() > self.protocol.silence:
+            # Before it is noticed in its turn: whoever catches this reads it.
+            self.publish(online=False, enabled=False)
             raise self.error(f"not heard for {self._silence():.1f} s", timeout=True)
 
     # -- instructions -----------------------------------------------------------------------------------

@@ -270,6 +270,7 @@ class CanSignals(Device):
 
         if not await self._news.seen(fresh, self._patience):
             why = f": {self._problems[message][0]}" if self._lacks(message, name) else ""
+            self.publish(online=self._silence() <= self._patience)
             raise self.error(f"{signal} was not received for over {self._patience:g} s{why}", timeout=True)
         return self._received[f"{message}.{name}"][1][name]
 

@@ -239,6 +239,9 @@ class Members(Device):
                 self.note(f"servo {number}: {new.faults}; the torque is {'on' if new.torque else 'off'}")
             if new.watchdog == FIRED and (old is None or old.watchdog != FIRED):
                 self.note(f"servo {number} was stopped by its own watchdog; release() frees it")
+        self._tell_conditions()
+
+    def _tell_conditions(self) -> None:
         self.publish(
             torqueOn=bool(self.conditions) and all(c.torque for c in self.conditions.values()),
             fault="; ".join(self._fault(n, c) for n, c in self.conditions.items() if c.faults),
@@ -297,6 +300,7 @@ class Members(Device):
         servos = self.servos.values()
         await self.send({s: (s.item("torque_enable").address, b"\0") for s in servos}, urgency)
         await self.each(servos, be_limp)
+        self._tell_conditions()
 
     def _places(self, seen: Seen) -> dict[Servo, Present]:
         """Where each member is to stay; one that is silent now, but may hear, where it was a moment ago.

@@ -15,4 +15,5 @@ PLUGIN = Plugin(
     requires=("pymavlink", "serial"),
     kit="lfield_mavlink.kit:KIT",
     endpoint="lfield_mavlink.link.links:parse_endpoint",
+    conflicts="lfield_mavlink.link.station:station_conflicts",
 )

@@ -160,7 +160,9 @@ class MavlinkDriver(Driver):
             system = message.get_srcSystem()
             vehicle = self._vehicles.get(system)
             if message.get_msgId() in COMMANDS:
-                self._neighbours.commanded(message, self.clock.monotonic())
+                # A router may show us what we have sent.
+                if system not in self._stations:
+                    self._neighbours.commanded(message, self.clock.monotonic())
                 continue
             # Cameras and gimbals have heartbeats too; only the autopilot's says how the vehicle is.
             if vehicle is None or message.get_srcComponent() != AUTOPILOT:

@@ -101,7 +101,7 @@ class LimitKeeper:
     def _sample(self, name: str, kept: _Kept) -> tuple[float, float] | None:
         """A value and its excess, as `LimitWatch` has it; None where there is no such thing."""
         position, (north, east, down) = self._state.position, self._state.velocity
-        if name != "altitude" and self._motion.monitor.lost_position:
+        if name != "altitude" and self._motion.monitor.is_blind:
             return None  # What its estimator tells then is a drift.
         if name == "speed":
             speed = math.hypot(north, east)

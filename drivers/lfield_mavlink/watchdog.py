@@ -105,7 +105,8 @@ _STATION = Need(
     ("MAV_GCS_SYSID", "SYSID_MYGCS"),
     "its failsafe is for this station alone: another one, at 255, does not keep it from acting. That one "
     "still commands modes, missions and parameters, but its sticks (RC override, MANUAL_CONTROL) are "
-    "ignored. 'lfield setup --back' undoes that",
+    "ignored, and nobody can arm while this station is not heard ('GCS failsafe on'). "
+    "'lfield setup --back' undoes that",
     station_of,
 )
 _NO_OTHERS = Need(

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 
+import pytest
+
 
 def test_the_two_copters_mirror_each_other_and_keep_apart(lfield_mission):
     team = lfield_mission("mission.dL")
@@ -37,6 +39,7 @@ def test_when_one_cannot_fly_on_the_other_is_brought_down(lfield_mission):
     assert team.fake("wing.fc").facts["airborne"] is False
 
 
+@pytest.mark.few(0)
 def test_half_the_charge_makes_shorter_legs(lfield_mission):
     longest = {}
     for charge in ("1.0", "0.45"):

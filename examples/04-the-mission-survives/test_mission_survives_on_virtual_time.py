@@ -18,6 +18,7 @@ def test_nobody_dies_and_all_is_made_once(lfield_mission):
     assert [len(acts(team, portal)) for portal in ("flyTo", "driveTo", "reach", "moveTo")] == [2, 1, 2, 1]
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize(
     ("said", "later", "host", "step"),
     [
@@ -41,6 +42,7 @@ def test_a_host_that_dies_in_a_call_costs_that_call_and_the_program_is_told(
     assert team.said("survivor: complete") == 1
 
 
+@pytest.mark.few(0)
 def test_all_three_computers_lose_their_power_at_once(lfield_mission):
     team = lfield_mission("mission.dL")
     team.run(until="the truck is there")

@@ -90,6 +90,7 @@ def test_the_next_best_team_goes_where_another_pilot_has_the_best_one(lfield_mis
     assert team.said("crates: cat and dan bring a crate each") == 1
 
 
+@pytest.mark.few(0)
 def test_when_no_team_is_left_the_crates_wait_for_those_who_carry_the_beam(lfield_mission):
     team = lfield_mission("mission.dL", fakes={"dan.fc": ["battery=0.2"]})
     team.run(until="bring a crate each")
@@ -100,6 +101,7 @@ def test_when_no_team_is_left_the_crates_wait_for_those_who_carry_the_beam(lfiel
     assert "dan" not in crew
 
 
+@pytest.mark.few(0)
 def test_a_motor_fails_and_the_other_one_puts_its_end_down_where_it_is(lfield_mission):
     team = flown.shown(lfield_mission("mission.dL"), fails=True)
     assert (
@@ -123,6 +125,7 @@ def test_a_motor_fails_and_the_other_one_puts_its_end_down_where_it_is(lfield_mi
     assert shows(flown.draw(team)) == shows((HERE / "failed.svg").read_text()), "run flown.py"
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("aboard", [False, True], ids=["elsewhere", "aboard"])
 def test_a_computer_is_lost_while_they_carry(lfield_mission, aboard):
     team = lfield_mission("mission.dL")

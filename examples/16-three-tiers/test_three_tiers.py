@@ -40,6 +40,7 @@ def at_home(team):
     return all(math.hypot(*team.tracks[device][-1][1:]) < 2.0 for device in ("copter.fc", "rover.fc"))
 
 
+@pytest.mark.few(0)
 def test_what_the_rover_cannot_come_to_the_copter_takes(lfield_mission):
     team = lfield_mission("mission.dL")
     team.run(until_done=True)
@@ -102,6 +103,7 @@ def test_when_the_wind_drains_the_battery_there_is_a_new_plan(lfield_mission):
     assert team.tracks["copter.fc"][-1].up < 0.1
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize(
     ("fault", "told"),
     [

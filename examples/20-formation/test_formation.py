@@ -108,7 +108,7 @@ def test_every_formation_is_reached_and_nobody_meets(lfield_mission):
     moves_at_one_time(team)
 
 
-@pytest.mark.few(2)
+@pytest.mark.few(0)
 @pytest.mark.parametrize("who", ["bob", "cat", "dan"])
 def test_a_dead_motor_in_the_middle_of_a_leg_and_the_others_close_up(lfield_mission, who):
     team = stopped(lfield_mission, lambda team: team.fake(f"{who}.fc").set("motor_failure=true"))
@@ -118,6 +118,7 @@ def test_a_dead_motor_in_the_middle_of_a_leg_and_the_others_close_up(lfield_miss
     assert worst(team, "line", others) < OFF
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("group", [COPTERS, ROVERS])
 def test_a_host_that_is_lost_is_left_behind(lfield_mission, group):
     lost = []
@@ -134,6 +135,7 @@ def test_a_host_that_is_lost_is_left_behind(lfield_mission, group):
     assert not team.fake(f"{lost[0]}.fc").facts["moving"], "it is in its safe state"
 
 
+@pytest.mark.few(0)
 def test_the_host_of_the_coordinator_is_lost_and_the_march_goes_on(lfield_mission):
     lost = []
 
@@ -151,6 +153,7 @@ def test_the_host_of_the_coordinator_is_lost_and_the_march_goes_on(lfield_missio
     assert all(min(math.dist(slot, place) for place in here) < OFF for slot in places("line", many))
 
 
+@pytest.mark.few(0)
 def test_two_fail_at_once(lfield_mission):
     def act(team):
         team.fake("bob.fc").set("motor_failure=true")
@@ -166,24 +169,28 @@ def test_two_fail_at_once(lfield_mission):
     assert worst(team, "line", ["ada", "cat", "dan"]) < OFF
 
 
+@pytest.mark.few(0)
 def test_wind_and_gusts_do_not_cost_the_formation(lfield_mission):
     wind = ["wind=7", "gusts=4", "wind_from=0.8"]
     blown = marched(lfield_mission, fakes={f"{who}.fc": wind for who in COPTERS})
     assert [worst(blown, formation) < OFF for formation in LEGS] == [True] * 3
 
 
+@pytest.mark.few(0)
 def test_one_who_is_taken_along_by_a_storm_is_left_behind(lfield_mission):
     team = stopped(lfield_mission, lambda team: team.fake("ada.fc").set("wind=20"))
     assert team.said("march: ada.fc is left behind") == 1
     assert worst(team, "line", ["bob", "cat", "dan", "eve"]) < OFF
 
 
+@pytest.mark.few(0)
 def test_a_low_battery_does_not_march(lfield_mission):
     team = marched(lfield_mission, fakes={"bob.fc": ["battery=0.25"]})
     assert worst(team, "line", [who for who in HOSTS if who != "bob"]) < OFF
     assert not any(point.up > 0.1 for point in team.tracks["bob.fc"])
 
 
+@pytest.mark.few(0)
 def test_one_seed_is_one_march(lfield_mission):
     first, again = (marched(lfield_mission, seed=1) for _ in range(2))
     assert first.tracks == again.tracks

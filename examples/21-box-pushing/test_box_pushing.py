@@ -42,6 +42,7 @@ def test_all_of_a_step_drive_at_one_time(lfield_mission):
         assert max(call.at for call in step) < min(call.ended for call in step)
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("who", ["left", "middle", "right"])
 def test_a_weak_rover_is_made_up_for(lfield_mission, who):
     team = lfield_mission("mission.dL", fakes={f"{who}.wheels": ["weak=0.3"]})
@@ -50,6 +51,7 @@ def test_a_weak_rover_is_made_up_for(lfield_mission, who):
     assert not team.said("pushes no more")
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize("who", ["left", "middle", "right"])
 @pytest.mark.parametrize("fault", ["broken", "silent"])
 def test_one_that_fails_is_left_behind_and_two_go_on(lfield_mission, who, fault):

@@ -51,6 +51,7 @@ def test_what_is_caught_stays_caught(lfield_mission):
     assert math.dist(team.fake("prey").place, place) < 0.2
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("who", PACK)
 def test_three_catch_it_when_a_computer_dies(lfield_mission, who):
     team = lfield_mission("mission.dL", seed=len(who))
@@ -105,6 +106,7 @@ def test_the_coordinator_goes_on_elsewhere_when_its_computer_dies(lfield_mission
     assert surrounded(team, without=next(who for who, host in PACK.items() if host == killed[0]))
 
 
+@pytest.mark.few(0)
 def test_who_is_back_hunts_again(lfield_mission):
     team = lfield_mission("mission.dL", seed=1)
     team.at(3.0, lambda: team.crash("east"))

@@ -49,6 +49,7 @@ def test_a_match_has_goals_and_both_coaches_count_them(lfield_mission, seed):
     assert len([hop for hop in team.hops if hop.agent == "red"]) <= 3 * rounds
 
 
+@pytest.mark.few(0)
 def test_the_same_seed_is_the_same_match_and_another_is_another(lfield_mission):
     matches = []
     for seed in (1, 1, 2):
@@ -72,6 +73,7 @@ def test_who_fails_leaves_two_to_play(lfield_mission):
     assert attack
 
 
+@pytest.mark.few(0)
 def test_who_is_mended_plays_again(lfield_mission):
     team = lfield_mission("mission.dL", seed=1)
     team.at(5.0, lambda: team.fake("cid.wheels").set("broken=true"))
@@ -80,6 +82,7 @@ def test_who_is_mended_plays_again(lfield_mission):
     assert way(team, "cid", 15.0, 25.0) > 1.0
 
 
+@pytest.mark.few(0)
 def test_a_team_plays_on_without_its_coach_and_gets_it_back(lfield_mission):
     team, killed = lfield_mission("mission.dL", seed=1), []
 
@@ -99,6 +102,7 @@ def test_a_team_plays_on_without_its_coach_and_gets_it_back(lfield_mission):
     assert {call.resource for call in team.calls if call.at > back and call.result} >= set(left)
 
 
+@pytest.mark.few(0)
 def test_the_ball_leaves_between_the_posts_and_nobody_else_leaves(lfield_mission):
     """From the kick-off to the first goal: with `-k posts --tracks DIR` the picture of the README."""
     team = lfield_mission("mission.dL", seed=3)

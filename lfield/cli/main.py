@@ -16,7 +16,7 @@ from lfield import __version__, exits
 from lfield.cli.of_the_system import of_the_system
 from lfield.errors import BindingError, LfieldError, ProgramError, UsageError
 from lfield.text.outlet import silence
-from lfield.text.visible import ESCAPES, as_text, continued, visible
+from lfield.text.visible import ESCAPES, as_text, continued, on_terminal, visible
 
 if TYPE_CHECKING:
     from _typeshed import SupportsWrite
@@ -178,6 +178,7 @@ def _fill_streams() -> None:
         # A stream of another kind encodes nothing, or by itself.
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors=ESCAPES)
+    sys.stdout, sys.stderr = on_terminal(sys.stdout), on_terminal(sys.stderr)
 
 
 def _let_out() -> None:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from lfield.text.visible import visible
+
 
 def says_yes(question: str) -> bool:
     """Ask in the terminal. Whoever leaves it without a word (Ctrl-D) has not agreed."""
     try:
-        return input(question).strip().lower() == "yes"
+        return input(visible(question)).strip().lower() == "yes"
     except EOFError:
         print()
         return False

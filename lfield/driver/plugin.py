@@ -16,6 +16,9 @@ from typing import TYPE_CHECKING, Any
 from lfield.errors import DeviceError, PluginError
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from lfield.driver.binding import DeviceBinding
     from lfield.driver.contract import Manifest
     from lfield.driver.device import Driver
     from lfield.driver.known import KnownDriver
@@ -31,6 +34,8 @@ class Plugin:
     where they run; `extra` is that of lfield with the vendor modules in `requires`, '' for a driver of one's
     own. `endpoint` is the path of a function that parses the text of an endpoint and raises DeviceError for
     one that is none: it opens nothing, and runs where missions are built; '' where only opening one tells.
+    `conflicts` is the path of a function that takes all bindings of the driver in a mission, and gives those
+    that cannot be beside the others, each with a sentence; it runs there too, '' for none.
     """
 
     name: str
@@ -41,6 +46,7 @@ class Plugin:
     manifests: tuple[str, ...] = ("manifest.yaml",)
     kit: str = ""
     endpoint: str = ""
+    conflicts: str = ""
 
     @property
     def missing(self) -> list[str]:
@@ -129,6 +135,19 @@ class Plugin:
             raise PluginError(f"driver '{self.name}' cannot parse the endpoint '{text}': {error}") from error
         return ""
 
+    def conflicts_of(self, bindings: Sequence[DeviceBinding]) -> list[tuple[DeviceBinding, str]]:
+        """The bindings of a mission that cannot be beside the others, each with a sentence.
+
+        Raises PluginError where the driver breaks instead of telling.
+        """
+        if not self.conflicts or self.missing:
+            return []
+        find = self._named(self.conflicts)
+        try:
+            return list(find(bindings))
+        except Exception as error:  # foreign code, as below
+            raise PluginError(f"driver '{self.name}' cannot compare its bindings: {error}") from error
+
     def _load(self, path: str) -> Any:
         missing = [vendor for vendor in self.requires if not _importable(vendor)]
         if missing:
@@ -172,6 +191,15 @@ def check_same(known: KnownDriver, plugin: Plugin) -> None:
                 f"({file.name} differs): install {known.to_install} here, or build the mission again with "
                 "the driver that its robots have"
             )
+
+
+def conflicts_of(known: KnownDriver, bindings: Sequence[DeviceBinding]) -> list[tuple[DeviceBinding, str]]:
+    """The bindings of a driver that cannot be beside the others; none where it is not installed here."""
+    try:
+        plugin = load_plugin(known.reference)
+    except PluginError:
+        return []
+    return plugin.conflicts_of(bindings)
 
 
 def why_no_endpoint(known: KnownDriver, text: str) -> str:

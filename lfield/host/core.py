@@ -20,7 +20,7 @@ from lfield.host.sight.hops import Hops
 from lfield.host.sight.programs import Programs
 from lfield.host.sight.teller import Teller
 from lfield.host.team import words
-from lfield.host.team.absent import Absent
+from lfield.host.team.absent import Absent, SignsOfLife
 from lfield.host.team.beginning import Beginning
 from lfield.host.team.begun import BegunPages
 from lfield.host.team.commands import Commands
@@ -41,7 +41,7 @@ from lfield.vm.agent import Agent
 from lfield.vm.contract import Engines
 from lfield.vm.machine import Machine
 from lfield.wire.coordinators import Ended, EndedAck, Known, Transfer
-from lfield.wire.messages import Control, Heard, Hello, Report, Room
+from lfield.wire.messages import Control, Heard, Hello, Pong, Report, Room
 from lfield.wire.observing import Recover, Recovered, Status
 from lfield.wire.quorum import QuorumMessage
 from lfield.wire.reservations import ReservationMessage
@@ -97,7 +97,8 @@ class HostCore:
             mission, own, machine, clock, self._out, unreachable_after, pages, times or {}, hops
         )
         self.directory = TeamDirectory(mission, name, incarnation, machine, nearby, clock)
-        self._leases = leases = Leases(mission, own, team, machine, clock, self._out, pages, dice)
+        #: The leases of coordinators that a majority may recover.
+        self.leases = leases = Leases(mission, own, team, machine, clock, self._out, pages, dice)
         team.barred, self.mobility = leases.quorum.fences.bars, team.mobility
         self._begun = BegunPages(own.mission, team, leases, machine, clock, pages, keeps=bool(memory))
         self.hearsay = Hearsay(self.team.hosts, self.here, incarnation, clock.monotonic(), neighbours)
@@ -110,8 +111,8 @@ class HostCore:
         #: The instructions to devices that are under way.
         self.commands = Commands(machine, nearby, leases, self._policies, clock, self._out, teller)
         offers = Offers(self.directory, mission)
-        absent = Absent(nearby, self.hearsay, clock, unreachable_after)
-        machine.attached.is_silent = lambda member: absent.is_silent(self.team.hosts[member.host])
+        absent = Absent(nearby, self.hearsay, clock, unreachable_after, self.mobility, self._out)
+        machine.attached.signs = SignsOfLife(absent, self.team.hosts)
         self.world.join(team, leases, self._begun, self.reserving, self.commands, offers, absent)
         #: When the coordinators of this host begin, and what a new start of them waits for.
         self.startup = startup = Beginning(
@@ -178,7 +179,7 @@ class HostCore:
             self._effects += self.directory.tick(now)
         if self.hearsay.due is not None and now >= self.hearsay.due:
             self._effects += [mobile.Send(host, news) for host, news in self.hearsay.tell(now)]
-        is_leased = self._leases.fenced and self._leases.tick(now)
+        is_leased = self.leases.fenced and self.leases.tick(now)
         if is_leased or ((due := self.startup.due) is not None and now >= due):
             self.startup.look()
         if self._policies.due is not None and now >= self._policies.due:
@@ -214,7 +215,7 @@ class HostCore:
         self.reserving.restore()
         self.directory.open()
         self.coordinators.open()
-        self._leases.begin(first=first)
+        self.leases.begin(first=first)
 
     def start_coordinators(self, *, first: bool = False) -> None:
         """The other hosts had time to say what they know: go on with the coordinators that the journal has,
@@ -223,7 +224,7 @@ class HostCore:
         `first`: somebody says that there was no earlier start. Else a host that has none on record must hear
         all others first.
         """
-        self._leases.wake()
+        self.leases.wake()
         came = set(self.machine.agents)
         self.coordinators.wake()
         for name in self.machine.agents.keys() - came:
@@ -248,16 +249,11 @@ class HostCore:
         """Whether any start here, or were here when this host was last up."""
         return bool(self.startup.own or self.coordinators.recovery.copies)
 
-    @property
-    def lease(self) -> float | None:
-        """For how many seconds yet coordinators may act here, None where they need no lease."""
-        return self._leases.left
-
     def waits(self, agent: Agent) -> str:
         """What a coordinator waits for besides its own work, in a few words; '' for nothing."""
         if not agent.frozen:
             return self._inits.waits(agent)
-        if self._leases.is_waiting(agent):
+        if self.leases.is_waiting(agent):
             return "waits for a majority"
         return self.reserving.waits(agent) or self.coordinators.waits(agent)
 
@@ -305,7 +301,7 @@ class HostCore:
     def wanted(self) -> set[str]:
         """The hosts to have links with now: the neighbours, and whoever is waited for."""
         near = self.hearsay.wanted(self._clock.monotonic())
-        needed = self.mobility.wanted() | self._leases.wanted | self.reserving.wanted
+        needed = self.mobility.wanted() | self.leases.wanted | self.reserving.wanted
         return {*near, *self.startup.wanted, *needed} - {self.name}
 
     def told(self, host: str, status: Status) -> None:
@@ -325,7 +321,7 @@ class HostCore:
 
     def recover(self, word: Recover) -> Recovered:
         """A person says that whoever held a coordinator is gone for good: this host goes on with it."""
-        return words.recover(self.coordinators, self._leases, self.name, self.here, word)
+        return words.recover(self.coordinators, self.leases, self.name, self.here, word)
 
     def pass_on(self, found: Iterable[Fate]) -> None:
         """This host is about to go: whoever can be reached is told of all endings, and of what it found."""
@@ -374,12 +370,14 @@ class HostCore:
         if isinstance(message, Report):
             if complaint := self.directory.received(host, message):
                 self._effects.append(Complain(complaint))
+        elif isinstance(message, Pong):
+            self.coordinators.carry_out(self.mobility.answered(host))
         elif isinstance(message, Room):
             self.coordinators.carry_out(self.mobility.room(host, message.trouble))
         elif isinstance(message, Heard):
             self.hearsay.told(host, message, self._clock.monotonic())
         elif isinstance(message, QuorumMessage):
-            self._leases.received(host, message)
+            self.leases.received(host, message)
         elif isinstance(message, ReservationMessage):
             self.reserving.received(message)
         elif isinstance(message, MobilityMessage):

@@ -126,6 +126,7 @@ class Host:
         self._visitors = Visitors(
             self.core, self.guards, self.clock, self._enter, self.status, self.note, self.scribe.all_kept
         )
+        self._visitors.links = lambda: self.peers.visiting
         self.changed = asyncio.Event()
         self.broken: dict[str, bool] = {}  # by agent that has died here: whether of a bug of lfield
         #: Set when the host has failed: `failure` says by what.
@@ -369,8 +370,7 @@ class Host:
             self._enter(partial(self.core.received, host, message))
 
     def flies(self) -> bool:
-        """Whether something here is under way that must come to its end: a device in use, or a coordinator
-        anywhere that nobody has paused or stopped."""
+        """Whether a device is in use here, or a coordinator goes on that nobody has paused or stopped."""
         latched, moving = self.guards.latched, self.guards.moving
         in_use = (device for device in self.mission.devices_of(self.name) if not device.is_sensor)
         if any(device.name not in latched or moving.get(device.name) for device in in_use):

@@ -65,7 +65,7 @@ def status_of(
         program=core.mission.program.digest,
         deployment=core.team.deployment,
         agents=[_agent(agent, core) for agent in core.machine.agents.values()],
-        coordinators=core.mobility.knowledge(),
+        coordinators=core.coordinators.keeping.on_record(core.mobility.knowledge(), core.name),
         devices=_devices(guards, now),
         links=[
             *(LinkStatus(host, None) for host in sorted(peers.incarnations)),
@@ -75,7 +75,7 @@ def status_of(
         late=_since(lateness.last_minute(now)) if lateness else None,
         silence=lateness.limit.silence if lateness else None,
         journal=_journal(journal, core, now) if journal is not None else None,
-        lease=core.lease,
+        lease=core.leases.left,
         paused=core.coordinators.paused,
         begun=[
             BegunStatus(call.agent, call.generation, call.resource, clip(call.portal), call.state)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Collection
 from contextlib import suppress
 
 from lfield.clock import Clock
@@ -32,6 +32,9 @@ from lfield.wire.watching import Seen, Watch
 
 #: Why devices are held while the mission is paused.
 PAUSED = "the mission is paused"
+#: What holds until somebody ends it, and why that order is refused.
+STOP, PAUSE = "emergency stop", "pause"
+NEWER = "another {} came while this order to end the {} was on its way: look, and give it again"
 #: For so many seconds an emergency stop, which holds already, waits for the disk before it is answered.
 KEPT_WITHIN = 2.0
 #: For so many seconds the answer to a start waits for what other hosts say of their vehicles.
@@ -66,6 +69,11 @@ class Visitors:
         self._teller = core.teller
         self.watchers = Watchers(core, guards, clock, status)
         guards.on_lock_out = self._locked_out
+        #: The links that observers have to this host now.
+        self.links: Callable[[], Collection[Link]] = tuple
+        #: Those that another observer had when the latest stop or pause came: an order to end it that comes
+        #: by one of these may have been given before.
+        self._older: dict[str, Collection[Link]] = {}
         #: When somebody last asked how the devices are.
         self._looked = -LOOKING
         #: Who waits for the status, and when it was last told.
@@ -119,6 +127,7 @@ class Visitors:
 
     def _locked_out(self, device: str, reason: str) -> None:
         """It is kept as an emergency stop is, so that the next life of this host opens its devices barred."""
+        self._older[STOP] = self.links()
         if not self._core.coordinators.stopped:
             self._enter(lambda: self._core.stop(clip(in_one_line(f"{device} is locked out: {reason}"))))
 
@@ -134,6 +143,8 @@ class Visitors:
             await asyncio.sleep(LAST_LOOK)
 
     async def _emergency_stop(self, message: EmergencyStop, link: Link) -> None:
+        if self._is_late(STOP, message.lift, link):
+            return
         # Programs hear it too, and what they print of it has no line of somebody else's.
         reason = clip(in_one_line(message.reason))
         self._teller.stopped(str(link.who), reason, lifted=message.lift)
@@ -150,6 +161,19 @@ class Visitors:
         trouble = "" if await self._all_kept(KEPT_WITHIN) else self._not_kept(lift=message.lift)
         self._answer(link, EmergencyStopped(devices, trouble))
 
+    def _is_late(self, hold: str, lift: bool, link: Link) -> bool:
+        """Whether an order to end a stop or a pause is refused: that one may be newer than the order."""
+        if not lift:
+            self._older[hold] = {other for other in self.links() if other is not link}
+        if not lift or link not in self._older.get(hold, ()):
+            return False
+        why = NEWER.format(hold, hold)
+        self._note(f"an order of {link.who} is not carried out: {why}")
+        devices = self._core.mission.devices_of(self._core.name)
+        held = {device.name: why for device in devices if not device.is_sensor}
+        self._answer(link, EmergencyStopped(held, why))
+        return True
+
     def _not_kept(self, *, lift: bool) -> str:
         """What the next life of this host may take for true, since its disk takes nothing now; noted too."""
         what, then = ("its end", "still hold its devices") if lift else ("the stop", "know nothing of it")
@@ -159,6 +183,8 @@ class Visitors:
         return told
 
     async def _pause(self, message: Pause, link: Link) -> None:
+        if self._is_late(PAUSE, message.lift, link):
+            return
         self._teller.paused(str(link.who), PAUSED, lifted=message.lift)
         if message.lift:
             # Whoever goes on must find them in use.

@@ -250,6 +250,7 @@ class BindingsReader:
                 stated[agent] = values
             fields.done()
         top.done()
+        self._devices.report_conflicts()
         reservations = replace(reservations, waits=waits)
         return Bindings(
             agents,

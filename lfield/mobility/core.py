@@ -239,6 +239,15 @@ class Mobility:
         """A host says why it can keep no coordinator that comes, or with '' that it can again."""
         return self._departures.room(host, trouble)
 
+    def ask(self, host: str) -> bool:
+        """Whether a linked host is to be asked for a sign of life: nothing is sent there before it has
+        `answered`."""
+        return self._departures.ask(host)
+
+    def answered(self, host: str) -> list[Effect]:
+        """The sign of life has come."""
+        return self._departures.answered(host)
+
     def unlinked(self, host: str) -> None:
         """The last link to a host is gone. What was on its way may have arrived or not."""
         self._links.pop(host, None)

@@ -42,6 +42,8 @@ class Departures:
         self._unreachable_after = unreachable_after
         #: The hosts that can keep nothing now, with the reason of each, while there is a link.
         self._full: dict[str, str] = {}
+        #: The hosts that were asked for a sign of life: nothing is sent there before it has come.
+        self._asked: set[str] = set()
 
     def depart(self, copy: Copy, host: str, seal: Callable[[int], Buffer], now: float) -> list[Effect]:
         """A running copy wants to go to `host`."""
@@ -51,6 +53,7 @@ class Departures:
     def linked(self, peer: Hello) -> list[Effect]:
         """Go on with the copies that wait for this host. Whether it has room it says anew."""
         self._full.pop(peer.host, None)
+        self._asked.discard(peer.host)
         effects: list[Effect] = []
         for copy in self._copies:
             if copy.target == peer.host and (copy.state in ("FROZEN", "PREPARED") or copy.gave_way):
@@ -61,6 +64,21 @@ class Departures:
     def unlinked(self, host: str) -> None:
         """The link to a host is gone, and with it what that has said of its room: it may be dead."""
         self._full.pop(host, None)
+        self._asked.discard(host)
+
+    def ask(self, host: str) -> bool:
+        """Whether a linked host is to be asked for a sign of life: copies wait for it as without a link.
+
+        It is not where nothing could be sent to it anyway.
+        """
+        if host not in self._full:
+            self._asked.add(host)
+        return host in self._asked
+
+    def answered(self, host: str) -> list[Effect]:
+        """The sign of life has come."""
+        self._asked.discard(host)
+        return self.room(host, self._full.get(host, ""))
 
     def woken(self, copy: Copy, now: float) -> list[Effect]:
         """A copy that was sent before this host was started again is in the machine."""
@@ -158,7 +176,7 @@ class Departures:
     def _send(self, copy: Copy) -> list[Effect]:
         """Send under the next number, or wait frozen for a link."""
         peer = self._links.get(copy.target)
-        if peer is None or copy.target in self._full:
+        if peer is None or copy.target in self._full or copy.target in self._asked:
             copy.state = "FROZEN"
             return []
         copy.sequence += 1

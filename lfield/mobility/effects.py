@@ -108,7 +108,7 @@ class Finished(Struct, frozen=True):
 
 
 class Note(Struct, frozen=True):
-    """Something odd for the log; nothing to do."""
+    """Something odd for the log, which says it once however often it comes; nothing to do."""
 
     reason: str
 

@@ -96,6 +96,11 @@ class Starts:
         return sorted(self._unheard - self._without) if self._record is None else []
 
     @property
+    def unproven(self) -> list[str]:
+        """The hosts left out and never heard on which an earlier start may be alive: there is no record."""
+        return sorted(self._unheard & self._without) if self._record is None else []
+
+    @property
     def next(self) -> int:
         """The generation of a start that is made now; no other host knows one as high."""
         return next_start(max(self._record or 0, self._newest))

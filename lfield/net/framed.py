@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 from lfield.authority.identity import STRANGER
 from lfield.errors import AddressError, GreetingError, WireError
 from lfield.loop import unexpected
+from lfield.net.waiting.rations import CROWD
 from lfield.wire.codec import (
     TRANSFER,
     decode,
@@ -30,6 +31,9 @@ if TYPE_CHECKING:
 #: So many bytes of a message count as one more (`FramedLink.weight`).
 _HEAVY = 1 << 11
 
+#: Coordinators of which it is remembered when they came last.
+_MOST_REMEMBERED = 256
+
 # Up to here one copy is cheaper than a second system call; a larger block is written by itself.
 _ONE_WRITE = 64 * 1024
 
@@ -47,8 +51,13 @@ class FramedLink:
         self.peer = peer
         self.who: Identity = STRANGER
         self.closed = False
-        #: How much was taken: a transfer counts one, a message one and one more for each _HEAVY bytes.
+        #: How much was taken: a transfer counts one, a message one and one more for each _HEAVY bytes. A
+        #: transfer that did not wait for the answer to the one before counts as a crowd: see `_weigh`.
         self.weight = 0
+        #: How many reads there were, in which of them the current message began, and in which the last
+        #: transfer of each coordinator was complete.
+        self.reads = self._began = 0
+        self._completed: dict[str, int] = {}
         self._error: LfieldError | None = None
         self._max_block = max_block
         self._decoder = frame_decoder(self._oversize)
@@ -90,14 +99,17 @@ class FramedLink:
 
     def received(self, data: Buffer) -> None:
         """Hand on what the next bytes complete; close on bytes or messages that must not be."""
+        if not self._decoder.unfinished:
+            self._began = self.reads
         frame = self._decoder.whole(data)
         try:
             for kind, payload in self._decoder.feed(data) if frame is None else (frame,):
-                self.weight += 1 if kind == TRANSFER else 1 + len(payload) // _HEAVY
                 if kind == TRANSFER:
                     header, block = decode_transfer(payload)
+                    self._weigh(header)
                     self.handler.on_transfer(self, header, block)
                 else:
+                    self.weight += 1 + len(payload) // _HEAVY
                     self.handler.on_message(self, decode(kind, payload))
                 if self.closed:
                     break
@@ -107,6 +119,20 @@ class FramedLink:
         except Exception as error:
             self.close()
             unexpected(error)
+
+    @property
+    def is_amid(self) -> bool:
+        """Whether a message has begun to come and is not complete."""
+        return self._decoder.unfinished
+
+    def _weigh(self, header: Transfer) -> None:
+        """A host sends a coordinator again only after the answer. One that began to come in the read with
+        which the last transfer of the same coordinator was complete was sent before any answer.
+        """
+        self.weight += CROWD if self._completed.get(header.agent) == self._began else 1
+        if len(self._completed) >= _MOST_REMEMBERED:
+            self._completed.clear()
+        self._completed[header.agent] = self.reads
 
     def one_by_one(self, data: Buffer) -> Iterator[None]:
         """The same for somebody who may have sent thousands: goes on with one message, or less, at a time."""
@@ -132,6 +158,7 @@ class FramedLink:
         self.handler.on_closed(self, self._error or error)
 
     def _oversize(self, header: Transfer, size: int) -> None:
+        self._weigh(header)
         self.handler.on_oversize(self, header, size)
 
     def _require_open(self) -> None:

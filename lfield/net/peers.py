@@ -28,7 +28,7 @@ from lfield.net.transport import Link, Listener, Transport
 from lfield.net.waiting.bars import Bars
 from lfield.wire.coordinators import Transfer
 from lfield.wire.framing import Buffer
-from lfield.wire.messages import Control, Hello, Ping, Pong, Revocations
+from lfield.wire.messages import QUESTION, Control, Hello, Ping, Pong, Revocations
 
 #: A link that is wanted is looked at every so many seconds and, unless something just came in, asked for a
 #: sign of life, by the host that stands first, or else by the other. After so many without, it is given up.
@@ -64,8 +64,7 @@ class Peers:
         admission: Admission | None = None,
     ) -> None:
         self._owner, self._transport, self._clock = owner, transport, clock
-        self._admission = admission or Admission()
-        self.now = clock.monotonic
+        self._admission, self.now = admission or Admission(), clock.monotonic
         self._hosts, self._addresses, self._here, self._near = hosts, addresses, here, near
         self._numbers = {host: number for number, host in enumerate(hosts)}
         #: Whom this host wants to talk to: always, and until when.
@@ -76,9 +75,8 @@ class Peers:
         #: When each last called, and the hosts that sent too much.
         self._came, self._bars = dict[str, float](), Bars()
         self._links: dict[str, Session] = {}
-        self._tasks: list[asyncio.Task[None]] = []
-        self._listeners: list[Listener] = []
-        self._complaints = Complaints(owner.note)
+        self._tasks, self._listeners = list[asyncio.Task[None]](), list[Listener]()
+        self._complaints, self.refusals = Complaints(owner.note), Refusals(hosts)
         self._ungreeted: Guests[Session] = Guests(MOST_UNGREETED, dice)
         self._observers: Guests[Session] = Guests(MOST_OBSERVERS, dice)
         #: The hosts that have neither greeted yet nor failed to answer a call, and those that have greeted.
@@ -88,7 +86,6 @@ class Peers:
         self._last_heard: dict[str, float] = {}
         #: Since when each host that is wanted and has no link has had none, on the monotonic clock.
         self.away: dict[str, float] = {}
-        self.refusals = Refusals(hosts)
 
     @property
     def incarnations(self) -> dict[str, int]:
@@ -99,6 +96,11 @@ class Peers:
         """When something last came from a host, on the monotonic clock; None when nothing ever did."""
         session = self._links.get(host)
         return session.heard if session else self._last_heard.get(host)
+
+    @property
+    def visiting(self) -> set[Link]:
+        """The links of observers, and those that have not greeted yet."""
+        return {session.link for session in (*self._ungreeted, *self._observers)}
 
     async def open(self, address: str) -> str:
         """Listen, begin to call the others; returns the address with its real port. Raises AddressError.
@@ -370,7 +372,7 @@ class Peers:
             session.link.send(Pong(message.token))
         elif isinstance(message, Revocations):
             self._take_list(message.list)
-        elif not isinstance(message, Pong):
+        elif not isinstance(message, Pong) or message.token == QUESTION:
             hello = session.hello
             assert hello is not None
             self._owner.received(hello.host if hello.role == "host" else "", message, session.link)

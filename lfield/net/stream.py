@@ -137,6 +137,7 @@ class StreamLink(FramedLink, asyncio.Protocol):
         self.handler = self._on_link(self)
 
     def data_received(self, data: bytes) -> None:
+        self.reads += 1
         self._meet(self.one_by_one(data))
 
     def _join(self) -> None:
@@ -245,6 +246,7 @@ class TlsLink(StreamLink):
             self._transport.write(self._channel.take())
 
     def data_received(self, data: bytes) -> None:
+        self.reads += 1
         channel = self._channel = self._channel or self._tls.channel(calls=self._calls)
         if channel.proven:
             self._meet(self._opened(channel, data))

@@ -83,8 +83,11 @@ def patiently() -> Request[Status]:
 
 
 def emergency_stop(reason: str, *, lift: bool = False) -> Request[EmergencyStopped]:
-    """An emergency stop, or its end. It takes as long as the devices take to confirm it."""
-    return Request(EmergencyStop(clip(reason), lift), EmergencyStopped, 8.0, again=True)
+    """An emergency stop, or its end. It takes as long as the devices take to confirm it.
+
+    Its end is asked for once only: somebody else may press the next one meanwhile.
+    """
+    return Request(EmergencyStop(clip(reason), lift), EmergencyStopped, 8.0, again=not lift)
 
 
 def forget(agent: str) -> Request[Forgotten]:
@@ -93,8 +96,8 @@ def forget(agent: str) -> Request[Forgotten]:
 
 
 def pause(*, lift: bool = False) -> Request[EmergencyStopped]:
-    """Pause the mission, or let it go on. It takes as long as the devices take to confirm it."""
-    return Request(Pause(lift), EmergencyStopped, 8.0, again=True)
+    """Pause the mission, or let it go on, once only. It takes as long as the devices take to confirm it."""
+    return Request(Pause(lift), EmergencyStopped, 8.0, again=not lift)
 
 
 def recover(word: Recover) -> Request[Recovered]:

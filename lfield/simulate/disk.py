@@ -30,8 +30,8 @@ class JournalDisk:
 
     def __init__(self, dice: random.Random, sync: float = SYNC) -> None:
         self.dice = dice
-        #: Seconds until a commit is on it; how many a full one still takes.
-        self.sync, self.reserve = sync, RESERVE
+        #: Seconds until a commit is on it, and while it is slow; how many a full one still takes.
+        self.sync, self.slow, self.reserve = sync, 0.0, RESERVE
         #: Whether it has no room; whether it takes nothing.
         self.full = self.broken = False
         #: Of the journal on it, 0 until there is one.
@@ -116,7 +116,8 @@ class SimulatedJournal(Grouped):
         if self._closed:
             raise JournalError("of a simulation", "it is closed")
         # Whoever dies between the two has kept it, and has told nobody.
-        before = self._disk.dice.uniform(0.0, self._disk.sync)
+        sync = max(self._disk.sync, self._disk.slow)
+        before = self._disk.dice.uniform(0.0, sync)
         await asyncio.sleep(before)
         try:
             self._disk.write(changes, self._clock.time())
@@ -124,4 +125,4 @@ class SimulatedJournal(Grouped):
             self.trouble = error.reason
             raise
         self.trouble = self._disk.trouble()
-        await asyncio.sleep(self._disk.sync - before)
+        await asyncio.sleep(sync - before)

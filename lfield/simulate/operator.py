@@ -6,13 +6,14 @@ own. What is held (a stop, a pause) is taken back after a while, and at the end 
 
 from __future__ import annotations
 
+import asyncio
 import random
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Awaitable, Callable, Coroutine, Mapping
 from functools import partial
 from typing import Any, Literal, Protocol
 
-from lfield.errors import CoordinatorAlive, LfieldError, NobodyListens, UsageError
+from lfield.errors import CoordinatorAlive, LfieldError, UsageError
 from lfield.loop import spawn
 from lfield.net.tcp import TcpTransport
 from lfield.operator.addressed import Place
@@ -57,12 +58,12 @@ class Operator:
         self._names = {place: place.host for place in self._places}
         #: Until when the buttons of a kind are held, in true time; and how often each was pressed.
         self._held: dict[Hold, float] = {}
-        self._presses: Counter[Hold] = Counter()
-        #: The kinds of which a host may still get the end of an earlier order.
-        self._late: set[Hold] = set()
+        self.presses: Counter[Hold] = Counter()
+        #: What takes back an order of a kind, until every host has answered.
+        self._lifting: defaultdict[Hold, set[asyncio.Task[None]]] = defaultdict(set)
         #: What is to be done with coordinators whose host is gone for good.
         self._orphans: dict[str, Callable[[str, _Answers], Awaitable[bool]]] = {}
-        self._looks = False
+        self._looks = self._starts = False
         #: How many orders of a kind hosts have carried out.
         self.carried_out: Counter[str] = Counter()
 
@@ -74,21 +75,21 @@ class Operator:
     def press(self, hold: Hold, seconds: float) -> None:
         """Stop or pause the team, and take that back after so many seconds.
 
-        Nothing happens while the end of an earlier one is under way: what overtakes what is left to chance.
+        While an earlier one is being taken back, that ends: what is on its way already may come later.
         """
-        if hold in self._late:
-            return
-        self._presses[hold] += 1
+        for task in self._lifting.pop(hold, ()):
+            self._process.loop.enter(task.cancel)
+        self.presses[hold] += 1
         self._held[hold] = max(self._held.get(hold, 0.0), self._fleet.now + seconds)
         self._fleet.later(seconds, partial(self._let_go, hold))
         for place in self._places:
             self._begin(partial(self._order, hold, place))
 
     async def _order(self, hold: Hold, place: Place) -> None:
-        press = self._presses[hold]
+        press = self.presses[hold]
         answer = await self._ask(place, _request(hold, lift=False))
         # An answer that comes when the button is let go promises nothing any more.
-        if isinstance(answer, EmergencyStopped) and hold in self._held and press == self._presses[hold]:
+        if isinstance(answer, EmergencyStopped) and hold in self._held and press == self.presses[hold]:
             self.carried_out[hold] += 1
             self._judges.confirmed(hold, place.host, answer)
 
@@ -101,21 +102,28 @@ class Operator:
     def _let_go(self, hold: Hold) -> None:
         if self._held.get(hold, self._fleet.now + 1.0) <= self._fleet.now:
             del self._held[hold]
-            self._late.add(hold)
             self._judges.lifting(hold)
             self._begin(partial(self._lift, hold))
 
     async def _lift(self, hold: Hold) -> None:
-        answers = await ask_all(self._transport, self._places, _request(hold, lift=True))
-        if all(isinstance(answer, EmergencyStopped | NobodyListens) for answer in answers.values()):
-            self._late.discard(hold)
+        task = asyncio.current_task()
+        assert task is not None
+        self._lifting[hold].add(task)
+        try:
+            await ask_all(self._transport, self._places, _request(hold, lift=True))
+        finally:
+            self._lifting[hold].discard(task)
         if hold == "stop":
             await self._start()
 
     async def _start(self) -> None:
         """As `lfield start --without` the hosts that are gone: what was not started during a stop."""
         request = Request(StartRequest(sorted(self._fleet.gone)), StartResponse, 8.0, again=True)
-        await ask_all(self._transport, self._places, request)
+        self._starts = True
+        try:
+            await ask_all(self._transport, self._places, request)
+        finally:
+            self._starts = False
 
     # --- coordinators of hosts that are gone ----------------------------------------------------------
 
@@ -184,8 +192,10 @@ class Operator:
             del self._held[hold]
             self._judges.lifting(hold)
         self.look_after()
-        for hold in self._presses:
+        for hold in self.presses:
             self._begin(partial(self._lift, hold))
+        if self._fleet.gone and not self._starts:
+            self._begin(self._start)
 
 
 def _request(hold: Hold, *, lift: bool) -> Request[EmergencyStopped]:

@@ -21,6 +21,8 @@ from lfield.wire.observing import EmergencyStopped
 LASTS = (0.05, 8.0)
 #: Seconds that something takes on a slow way: what is sent on two connections comes in any order.
 SLOW = (0.3, 2.0)
+#: So much of it is of what a person orders, where there is one.
+SLOW_ORDERS = 0.5
 #: Seconds that a process or a computer stands still for.
 STOPPED = (0.05, 6.0)
 #: For how long a team is split: the majority may go on with what the others have meanwhile.
@@ -73,6 +75,7 @@ class Weather:
     disk_full: float = 0.0
     disk_fail: float = 0.0
     disk_new: float = 0.0
+    disk_slow: float = 0.0
     guard_kill: float = 0.0
     guard_stop: float = 0.0
     swap: float = 0.0
@@ -105,9 +108,9 @@ class Storm:
     def __init__(self, fleet: Fleet, forecast: Iterable[Fault], judges: Judges) -> None:
         self.fleet = fleet
         forecast = list(forecast)
-        #: The person who gives orders, if anybody does: `judges` hears what hosts answer.
+        #: The person who gives orders, if anybody has to: `judges` hears what hosts answer.
         self.operator: Operator | None = None
-        if any(fault.kind in ORDERS for fault in forecast):
+        if any(fault.kind in (*ORDERS, "gone") for fault in forecast):
             self.operator = Operator(fleet, judges, random.Random(repr(forecast[0])))
         #: Every fault that struck: when, and what.
         self.faults: list[tuple[float, str]] = []
@@ -119,7 +122,7 @@ class Storm:
             "power": self._power, "gone": self._gone, "suspend": self._suspend,
             "drift": self._drift, "race": self._race,
             "clock": self._clock, "disk_full": self._disk_full, "disk_fail": self._disk_fail,
-            "disk_new": self._disk_new,
+            "disk_new": self._disk_new, "disk_slow": self._disk_slow,
             "guard_kill": self._guard_kill, "guard_stop": self._guard_stop, "swap": self._swap,
             "split": self._split, "estop": self._estop, "pause": self._pause, "wreck": self._wreck,
         }  # fmt: skip
@@ -130,7 +133,7 @@ class Storm:
         """The sun comes out: all ways speak, all computers are on, all hosts run."""
         self._over = True
         for disk in self.fleet.disks.values():
-            disk.full = disk.broken = False
+            disk.full, disk.broken, disk.slow = False, False, 0.0
         self.fleet.heal_all()
         if self.operator is not None:
             self.operator.free_all()
@@ -212,9 +215,11 @@ class Storm:
         self._silence(fault.one, fault.other, fault.lasts)
 
     def _slow(self, fault: Fault) -> None:
-        self._note(f"slow {fault.one} > {fault.other}")
-        self.fleet.network.ways.slow[fault.one, fault.other] = SLOW
-        self._after(fault.lasts, partial(self._quick, (fault.one, fault.other)))
+        pressed = self.operator is not None and bool(self.operator.presses)
+        near = "operator" if pressed and fault.size < SLOW_ORDERS else fault.one
+        self._note(f"slow {near} > {fault.other}")
+        self.fleet.network.ways.slow[near, fault.other] = SLOW
+        self._after(fault.lasts, partial(self._quick, (near, fault.other)))
 
     def _quick(self, way: Way) -> None:
         self.fleet.network.ways.slow.pop(way, None)
@@ -316,6 +321,12 @@ class Storm:
         disk = self.fleet.disks[fault.one]
         disk.broken = True
         self._after(fault.lasts, partial(setattr, disk, "broken", False))
+
+    def _disk_slow(self, fault: Fault) -> None:
+        self._note(f"disk of {fault.one} is slow")
+        disk = self.fleet.disks[fault.one]
+        disk.slow = fault.lasts
+        self._after(fault.lasts, partial(setattr, disk, "slow", 0.0))
 
     # --- orders of a person ---------------------------------------------------------------------------
 

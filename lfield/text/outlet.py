@@ -18,7 +18,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from typing import TextIO, cast
 
-from lfield.text.visible import ESCAPES
+from lfield.text.visible import ESCAPES, on_terminal
 
 #: So many bytes wait for a reader, at most, before the oldest lines are dropped.
 LIMIT = 4 << 20
@@ -192,7 +192,8 @@ def never_waiting(who: str = "") -> Iterator[None]:
         dropped=lambda lines: say(f"{lines} line(s) of program output are missing: nobody read them in time"),
         lost=lambda error: say(f"program output is lost from here on: {error.strerror or error}"),
     )
-    sys.stdout, sys.stderr = cast("TextIO", out or sys.stdout), cast("TextIO", log or sys.stderr)
+    sys.stdout = on_terminal(cast("TextIO", out)) if out else sys.stdout
+    sys.stderr = on_terminal(cast("TextIO", log)) if log else sys.stderr
     try:
         yield
     finally:

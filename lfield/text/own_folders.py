@@ -2,7 +2,8 @@
 
 What outlives its processes is where the environment says, else in the user's home. What is no absolute path
 is not taken: the folder would be another one wherever a command is called. A symbolic link of another user is
-never followed: where others may write to the folder above, it would lead to any other folder of this user.
+never followed, wherever on the way it is: where others may write to the folder above, it would lead to any
+other folder of this user.
 
 What lasts as long as its processes:
 
@@ -29,6 +30,8 @@ from pathlib import Path
 from lfield.errors import NoHome, OutputFileError
 from lfield.text.private import keeps, private_folder, private_opened, temporary_folder
 
+#: So many folders and links may be on the way to one.
+_MOST_STEPS = 1000
 #: A folder of a user in a temporary one.
 _OF_USER = re.compile(r"lfield-(0|[1-9]\d{0,9})(-[0-9a-f]{8})?", re.ASCII)
 
@@ -60,20 +63,45 @@ def cache_folder() -> Path:
 
 
 def lfield_in(base: Path) -> Path:
-    """The folder `lfield` in a base folder; where it is a symbolic link of this user or root, its target.
+    """The folder `lfield` in a base folder, by a path without symbolic links. Raises OutputFileError."""
+    return without_links(base / "lfield")
 
-    Raises OutputFileError for a link of another user.
+
+def without_links(place: Path) -> Path:
+    """Where an absolute path leads to, by links of this user and root alone.
+
+    Raises OutputFileError for a link of another user, also where a link leads to one.
     """
-    place = base / "lfield"
+    found, parts = Path(place.anchor), list(reversed(place.parts[1:]))
+    for _ in range(_MOST_STEPS):
+        if not parts:
+            return found
+        part = parts.pop()
+        if part == "..":
+            found = found.parent
+            continue
+        target = _target(found / part)
+        if not target:
+            found = found / part
+        else:
+            link = Path(target)
+            found = Path(link.anchor) if link.is_absolute() else found
+            parts += reversed(link.parts[1:] if link.is_absolute() else link.parts)
+    raise OutputFileError(str(place), "there are too many symbolic links on the way")
+
+
+def _target(path: Path) -> str:
+    """What a symbolic link leads to, '' where it is none or cannot be seen. Raises OutputFileError."""
     try:
-        found = os.lstat(place)
+        found = os.lstat(path)
+        if not stat.S_ISLNK(found.st_mode):
+            return ""
+        target = os.readlink(path)
     except OSError:
-        return place
-    if not stat.S_ISLNK(found.st_mode):
-        return place
+        return ""
     if found.st_uid not in (0, os.geteuid()):
-        raise OutputFileError(str(place), "it is a symbolic link of another user: remove it")
-    return Path(os.path.realpath(place))
+        raise OutputFileError(str(path), "it is a symbolic link of another user: remove it")
+    return target
 
 
 def _home(environment: Mapping[str, str]) -> str:
@@ -90,10 +118,10 @@ def _home(environment: Mapping[str, str]) -> str:
 def runtime_folder() -> Path | None:
     """The runtime folder of this user, if there is one that nobody else may change."""
     runtime = os.environ.get("XDG_RUNTIME_DIR", "")
-    with suppress(OSError):
+    with suppress(OSError, OutputFileError):
         # After `su` it may still be another user's.
-        if runtime and os.stat(runtime).st_uid == os.geteuid() and keeps(Path(runtime)):
-            return Path(runtime)
+        if os.path.isabs(runtime) and os.stat(without_links(Path(runtime))).st_uid == os.geteuid():
+            return Path(runtime) if keeps(Path(runtime)) else None
     return None
 
 

@@ -3,6 +3,9 @@
 A program prints what it likes, a peer sends what it likes. A terminal takes some characters as orders: they
 move the cursor, rename the window, write over what stood there, turn the direction of writing. They are shown
 as L writes them in a text, `\\u{1b}`, so that whoever reads on knows what was meant.
+
+Bundles, logs, devices and other hosts carry such texts, and every command prints some of them: `Terminal`
+shows them so where they leave the process. Where a stream is no terminal its bytes go out unchanged.
 """
 
 from __future__ import annotations
@@ -10,6 +13,7 @@ from __future__ import annotations
 import codecs
 import re
 import unicodedata
+from typing import Any, TextIO, cast
 
 #: Kinds of characters that are no signs to be read: controls, formats, halves of a pair, and unassigned ones.
 _OBEYED = frozenset({"Cc", "Cf", "Cs", "Co", "Cn", "Zl", "Zp"})
@@ -55,6 +59,36 @@ def as_text(word: str) -> str:
 def clipped(text: str, most: int) -> str:
     """At most so many characters of a text, the last one `…` where it is longer."""
     return text if len(text) <= most else f"{text[: most - 1]}…"
+
+
+class Terminal:
+    """A text stream to a terminal; control characters but newline and tab are shown as escapes of L.
+
+    Everything else is done by the `stream` itself.
+    """
+
+    def __init__(self, stream: TextIO) -> None:
+        self.stream = stream
+
+    def write(self, text: str, /) -> int:
+        """Write the text as it is shown."""
+        self.stream.write(visible(text))
+        return len(text)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.stream, name)
+
+
+def on_terminal(stream: TextIO) -> TextIO:
+    """The stream, as a `Terminal` where it is one."""
+    if isinstance(stream, Terminal) or not stream.isatty():
+        return stream
+    return cast("TextIO", Terminal(stream))
+
+
+def unguarded(stream: TextIO) -> TextIO:
+    """The stream below a `Terminal`, for a program with control sequences of its own."""
+    return stream.stream if isinstance(stream, Terminal) else stream
 
 
 def _unencodable(error: UnicodeError) -> tuple[str, int]:

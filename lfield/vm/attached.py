@@ -63,15 +63,27 @@ class Asked(Protocol):
         """End it by a built-in exception."""
 
 
+class Signs(Protocol):
+    """Signs of life of the hosts where agents of the team are."""
+
+    def is_silent(self, member: Member) -> bool:
+        """Whether its host has not been heard, though there is a link."""
+
+    def ask(self, member: Member) -> None:
+        """Ask its host for a sign of life; nobody is sent there before it has come."""
+
+    def is_asked(self, member: Member) -> bool:
+        """Whether that is still waited for."""
+
+
 @dataclass(slots=True)
 class Attached:
     """What is attached to one machine. `rules` are asked before each portal begins. `stand_ins` by the ids of
     resources, which must not have started yet: their `init` does not run, and they are open at once. `meter`
-    is given the instructions of each turn. `is_silent` tells whether nothing was heard for a while of the
-    host where an agent of the team is, though there is a link."""
+    is given the instructions of each turn. `signs` are for hosts that are linked and may be silent."""
 
     rules: Rules | None = None
     watch: Watch | None = None
     meter: Callable[[int], None] | None = None
-    is_silent: Callable[[Member], bool] | None = None
+    signs: Signs | None = None
     stand_ins: dict[str, Callable[[Asked], None]] = field(default_factory=dict)

@@ -32,6 +32,8 @@ from lfield.vm.scheduler import LATE, Scheduler
 TIME_LIMIT = "TimeLimitException"
 #: How soon it is looked again whether a `finally` that a limit must not cut has come to its end, in seconds.
 SOON = 0.05
+#: Why a limit is looked at late whose time was over while no program ran here.
+STOOD_STILL = "its host was paused, or stood still"
 #: The clocks are read in different units: so many ns make no difference.
 _SLACK = 1000
 
@@ -47,6 +49,9 @@ class Calling(Protocol):
 
     def keeps_waiting(self, agent: Agent) -> str:
         """Why a frozen one cannot go on at once."""
+
+    def is_asked(self, agent: Agent) -> bool:
+        """Whether a sign of life of the host that a frozen one wants to is still waited for."""
 
     def cut_short(self, agent: Agent) -> str:
         """What a frozen one is kept from, as the end of a sentence; '' for nothing."""
@@ -119,6 +124,8 @@ class TimeLimits:
         if agent.alarm != at or self._scheduler.agents.get(agent.id) is not agent:
             return
         agent.alarm = math.inf
+        if self._scheduler.clock.monotonic() - at >= LATE:
+            agent.late_since = STOOD_STILL
         w = agent.block.w
         around = [word for word, _ in self._around(agent)]
         later = [w[word] for word in around if not self._is_over(agent, word)]
@@ -126,11 +133,16 @@ class TimeLimits:
             self._arm(agent, min(later))
         if due := self._due(agent):
             self._over(agent, due)
-        elif len(later) < len(around):
+            return
+        if len(later) < len(around):
             agent.overdue = True
             agent.late_since = "a finally that has begun is not cut short"
-            self._hurry_leave(agent)
-            self._arm(agent, self._scheduler.clock_of(agent) + int(SOON * 1e9))
+            self.look_soon(agent)
+        self._hurry_leave(agent)
+
+    def look_soon(self, agent: Agent) -> None:
+        """Let the alarm ring soon: what keeps a coordinator in a block that is over may have changed."""
+        self._arm(agent, self._scheduler.clock_of(agent) + int(SOON * 1e9))
 
     # --- what is over ---------------------------------------------------------------------------------
 
@@ -150,9 +162,14 @@ class TimeLimits:
                 yield word, shielded
 
     def _hurry_leave(self, agent: Agent) -> None:
-        """A coordinator that leaves a `together`, and waits for a host that it cannot reach, goes on."""
+        """A coordinator that leaves a `together`, and waits for a host that it cannot reach, goes on.
+
+        It does not while that host still has time for a sign of life.
+        """
         leaves = agent.frozen and self._visits.head(agent) == "leave" and self.is_block_over(agent)
-        if leaves and self._scheduler.world.give_up(agent):
+        if leaves and self._visits.is_asked(agent):
+            self.look_soon(agent)
+        elif leaves and self._scheduler.world.give_up(agent):
             agent.frozen = False
             self._scheduler.turns.next(agent, only_thread(agent.block))
 

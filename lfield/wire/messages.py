@@ -119,6 +119,10 @@ class Refuse(Struct, frozen=True):
     reason: str
 
 
+#: The token of a Ping whose answer the core of a host waits for; others are for links alone.
+QUESTION = 1 << 31
+
+
 class Ping(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=8):
     """Answered by a Pong with the same token: the peer's process is alive."""
 

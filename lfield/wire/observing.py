@@ -153,8 +153,9 @@ class RefusedHost(Struct, frozen=True, array_like=True, forbid_unknown_fields=Tr
 class StartStatus(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
     """The coordinators of a host that are not started yet, and what their start waits for.
 
-    `hosts` are those that have resources and are not linked, `without` those that the start does not wait
-    for. `held` is why the start waits for an operator's command, '' where it does not.
+    `hosts` are those that have resources and are not linked, or have vehicles that do not say whether they
+    are on the ground; `without` are those that the start does not wait for. `held` is why the start waits for
+    an operator's command, '' where it does not.
     """
 
     agents: Annotated[list[Name], Meta(max_length=4096)]
@@ -215,7 +216,7 @@ class EmergencyStopped(Struct, frozen=True, array_like=True, forbid_unknown_fiel
     """The answer: every device of the host, with '' when its safe state is confirmed, else why it is not.
 
     `trouble` is why the host may not know of that when it is started again, '' when it will. It is '' also of
-    a host without a journal, which never does.
+    a host without a journal, which never does. Or it is why an order to end a stop or a pause was refused.
     """
 
     devices: dict[str, Text]

@@ -24,9 +24,10 @@ from lfield.mobility.neighbours import Neighbourhood
 from lfield.net.framed import FramedLink
 from lfield.net.greeting import Greeting
 from lfield.wire import codec
-from lfield.wire.coordinators import Known, Transfer
+from lfield.wire.coordinators import Transfer
 from lfield.wire.framing import HEADER_SIZE, frame
 from lfield.wire.messages import Control, ForeignHello, Hello, Message, Refuse, Role
+from lfield.wire.observing import Status
 
 pack = msgspec.msgpack.encode
 unpack = msgspec.msgpack.decode
@@ -254,7 +255,7 @@ def happen(core: HostCore, clock: ManualClock, event: Any) -> None:
         elif what == 4 and isinstance(value, int | float) and 0 < value < 1e6:
             clock.advance(value)
         elif what == 5:
-            core.told("bravo", msgspec.convert(value, list[Known]))
+            core.told("bravo", msgspec.convert(value, Status))
         elif what == 6:
             core.too_large("bravo", msgspec.convert(value, Transfer), 1 << 30)
         elif what == 7:
@@ -371,12 +372,12 @@ def _event_seeds() -> Sequence[bytes]:
     hello = [0, unpack(pack(greeting("bravo")))]
     header, block = transfers()[0]
     arrival = [2, [unpack(pack(header)), block]]
-    known = unpack(pack(example(Known)))
+    status = unpack(pack(example(Status)))
     told = [[1, message] for message in messages()]
     quiet = [pack([event]) for event in told] + [pack([event, [4, 0.5], event]) for event in told]
     busy = [pack([arrival, event, [4, 11.0], hello]) for event in told]
     people = [pack([[7, message], [4, 1.0]]) for message in messages()]
-    rest = pack([hello, [5, [known]], [6, arrival[1][0]], [3, 0], [4, 30.0], hello])
+    rest = pack([hello, [5, status], [6, arrival[1][0]], [3, 0], [4, 30.0], hello])
     return [*quiet, *busy, *people, rest, pack([hello, *told])]
 
 

@@ -90,6 +90,30 @@ def test_a_plugin_that_says_it_and_one_that_does_not():
         plugin("nowhere").why_no_endpoint("")
 
 
+def heavier(bindings):
+    """Refuses all but the first."""
+    if bindings[0].endpoint == "broken":
+        raise RuntimeError("a bug")
+    return ((binding, "one too many") for binding in bindings[1:])
+
+
+def test_a_plugin_that_compares_its_bindings_and_one_that_does_not():
+    def compare(function, *endpoints, requires=()):
+        plugin = Plugin(
+            "thing", "t", "t:T", requires=requires, conflicts=function and f"{__name__}:{function}"
+        )
+        bindings = [
+            DeviceBinding(agent=e, field="b", type="T", driver="thing", endpoint=e) for e in endpoints
+        ]
+        return [(binding.agent, why) for binding, why in plugin.conflicts_of(bindings)]
+
+    assert compare("heavier", "1", "2") == [("2", "one too many")]
+    assert compare("", "1", "2") == []
+    assert compare("heavier", "1", "2", requires=("vendor_that_is_not_here",)) == []
+    with pytest.raises(PluginError, match="driver 'thing' cannot compare its bindings: a bug"):
+        compare("heavier", "broken")
+
+
 class Open:
     """A bench with a device that is open there."""
 

@@ -111,7 +111,7 @@ def whose(value):
     return value.string(value.w[W_ID]) if isinstance(value, Block) and value.w[W_ID] else None
 
 
-@pytest.mark.few(40)
+@pytest.mark.few(12)
 @pytest.mark.parametrize("after", [0, 7])
 @pytest.mark.parametrize(("owner", "name"), IN_A_TURN, ids=names(IN_A_TURN))
 def test_a_bug_in_the_turn_of_an_agent_ends_that_agent_only(fleet, monkeypatch, owner, name, after):

@@ -18,6 +18,7 @@ SPEEDS = {
 }
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize(("place", "stack"), [("origin", "px4"), ("pose", "ardupilot")])
 def test_a_copter_passes_wherever_its_team_counts_from(desk, try_kit, place, stack):
     link = desk.fake(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 
+import pytest
 from kit_findings import failed, not_run
 from pymavlink.dialects.v20 import common as mavlink
 
@@ -44,6 +45,7 @@ def test_a_copter_of_px4_passes(desk, try_kit):
     assert "then it was in AUTO.LOITER" in found["copter", "a velocity that is not renewed ends"].seen
 
 
+@pytest.mark.few(0)
 def test_rovers_of_both_autopilots_do_what_is_not_as_copters_do_it(desk, try_kit):
     rover, px4 = vehicles(
         desk,

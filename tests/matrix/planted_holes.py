@@ -41,8 +41,8 @@ HOLES = (
     Hole(
         "no machine has rules",
         "host/core.py",
-        "machine.attached.rules = mission.calls",
-        "",
+        "self.programs, machine.attached.rules = Programs(machine, clock.monotonic), mission.calls",
+        "self.programs = Programs(machine, clock.monotonic)",
         "from_a_coordinator",
     ),
     Hole(

@@ -371,3 +371,37 @@ def test_a_waiver_that_needs_a_reason_has_one(written, plugins, waivers, told):
 def test_a_station_is_no_ground_station_of_others(written, plugins):
     text = (WAIVED % "[device_watchdog]").replace("system: 2", "system: 2, station: 255")
     assert "'station' must be from 0 to 254, not 255" in problems(written(text), plugins)
+
+
+@pytest.mark.parametrize(
+    ("lead", "other", "told"),
+    [
+        ("system: 1", "system: 128", "alpha.fc: its station has the system id 128, which is that of beta.fc"),
+        (
+            "system: 1",
+            "system: 2, station: 128",
+            "beta.fc: its station has the system id 128, and so has that",
+        ),
+        (
+            "system: 3, station: 3",
+            "system: 4",
+            "alpha.fc: its station has the system id 3, which is that of itself",
+        ),
+        ("system: 1", "system: 2", ""),
+        # On one network they could not be told apart at all, so there are two.
+        ("system: 1", "system: 1", ""),
+    ],
+)
+def test_stations_of_all_endpoints_are_compared(written, plugins, lead, other, told):
+    """Links may lead to one network: a station that another vehicle hears keeps that from landing."""
+    fc = "{driver: mavlink, endpoint: 'udp:127.0.0.1:%d', %s}"
+    agents = {"alpha": fc % (1, lead), "beta": fc % (2, other)}
+    lines = [f"  {agent}: {{devices: {{fc: {device}}}}}\n" for agent, device in agents.items()]
+    path = written("agents:\n" + "".join(lines))
+    if told:
+        said = problems(path, plugins)
+        assert told in said
+        assert "choose another by 'station: ID'" in said
+        assert read_bindings(path, NEEDED, plugins, simulate=True)
+    else:
+        assert read_bindings(path, NEEDED, plugins)

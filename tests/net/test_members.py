@@ -8,6 +8,7 @@ from __future__ import annotations
 import asyncio
 
 import pytest
+from msgspec.structs import replace
 from test_reception import FLOOD, Inn, run_tls
 
 from lfield.errors import OverBudget
@@ -133,6 +134,51 @@ def test_a_hop_after_hop_is_neither_held_for_long_nor_closed():
             await asyncio.sleep(1e-3)
         assert count > 0.8 * 20.0 / 1e-3
         assert not bravo.wire.closing
+
+    run_tls(story)
+
+
+#: A block that comes in several reads of CHUNK bytes.
+BLOCK, CHUNK = bytes(20 << 10), 8 << 10
+
+
+def large(agent: str = "tom") -> bytes:
+    return encode_transfer(replace(transfer(len(BLOCK)), agent=agent), BLOCK) + BLOCK
+
+
+def test_large_hops_that_wait_for_answers_are_not_closed():
+    """Several coordinators at once, each of which is sent again when its answer has come."""
+
+    async def story(inn):
+        bravo, began = member(inn, "bravo"), inn.loop.time()
+        bravo.hears.on_transfer = lambda link, header, taken: setattr(inn, "work", inn.work + 0.02)
+        hops = b"".join(map(large, ("tom", "ann", "eve")))
+        while inn.loop.time() < began + 8.0:
+            for at in range(0, len(hops), CHUNK):
+                while not bravo.wire.reads:
+                    assert not bravo.wire.closing
+                    await asyncio.sleep(0.01)
+                bravo.say(hops[at : at + CHUNK])
+            await asyncio.sleep(0.01)
+        assert inn.work > 3 * RATION * 8.0
+        assert not bravo.wire.closing
+
+    run_tls(story)
+
+
+def test_large_transfers_without_end_are_closed_after_five_seconds_over_budget():
+    async def story(inn):
+        bravo, began, at = member(inn, "bravo"), inn.loop.time(), 0
+        bravo.hears.on_transfer = lambda link, header, taken: setattr(inn, "work", inn.work + 4e-3)
+        stream = large()
+        while inn.loop.time() < began + 20.0 and not bravo.wire.closing:
+            if bravo.wire.reads:
+                part = stream[at : at + CHUNK]
+                bravo.say(part + stream[: CHUNK - len(part)])
+                at = (at + CHUNK) % len(stream)
+            await asyncio.sleep(1e-3)
+        assert bravo.wire.closing
+        assert inn.loop.time() - began <= OVER_FOR + 3.0
 
     run_tls(story)
 

@@ -110,6 +110,17 @@ def test_hops_are_no_flood_on_any_computer(agents, cost):
     assert computer.taken["bravo"] >= 0.85 * alone
 
 
+def test_a_read_of_a_flood_that_ends_with_a_message_by_chance_shows_nothing():
+    """As one in forty reads of large transfers does."""
+    rations, now = Rations(), 0.0
+    while rations.on_work("bravo", 0.01, now, CROWD) is not Standing.FLOOD:
+        now = max(now + 0.01, rations.held_until("bravo"))
+        for is_amid in (True, False):
+            rations.on_read("bravo", now)
+            rations.on_drained("bravo", CROWD * is_amid, now, is_amid=is_amid)
+        assert now < 2 * OVER_FOR
+
+
 def test_a_big_block_and_the_start_of_a_team_are_within_the_budget():
     rations = Rations()
     # A block of 64 MB in pieces of 16 KiB, each of which costs 15 microseconds.

@@ -3,18 +3,12 @@
 from __future__ import annotations
 
 import random
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import pytest
-from msgspec import structs
 
-from lfield.host.team.leases import Leases
 from lfield.mission.load import load_mission
 from lfield.mission.mission import Mission
-from lfield.quorum.core import Quorum
-from lfield.quorum.terminations import Terminations
 from lfield.simulate.fleet import Fleet
 from lfield.simulate.judging.breaches import Breaches
 from lfield.simulate.judging.terminated import Terminated
@@ -28,7 +22,7 @@ resource Valve {
 }
 coordinator Boss {
     init(string[] arg) {
-        heartbeatInterval(3.0);
+        heartbeatInterval(INTERVAL);
         while (true) {
             try {
                 print("turned " + i2s(findValve("v").turn()));
@@ -45,8 +39,9 @@ TEAM = "//Boss:boss@a\n//Valve:v@b\n//@c\n"
 ENDS = {"done": "return;", "died": "throw new Exception();"}
 
 
-def mission(folder: Path, end: str = "done", team: str = TEAM) -> Mission:
-    (folder / "mission.L").write_text(PROGRAM.replace("END", ENDS[end]))
+def mission(folder: Path, end: str = "done", team: str = TEAM, interval: float = 3.0) -> Mission:
+    program = PROGRAM.replace("END", ENDS[end]).replace("INTERVAL", str(interval))
+    (folder / "mission.L").write_text(program)
     (folder / "mission.dL").write_text(team)
     return load_mission(folder / "mission.dL", simulate=True)
 
@@ -55,7 +50,7 @@ def said(fleet: Fleet, what: str) -> list[tuple[float, str, str]]:
     return [line for line in fleet.log if what in line[2]]
 
 
-def judged(mission: Mission, seed: int = 1) -> tuple[Fleet, Breaches]:
+def judged(mission: Mission, seed: int = 1, lost_after: float | None = None) -> tuple[Fleet, Breaches]:
     """A fleet, and what the judge of terminations finds in it."""
     fleet: Fleet
 
@@ -65,7 +60,7 @@ def judged(mission: Mission, seed: int = 1) -> tuple[Fleet, Breaches]:
 
     breaches = Breaches(lambda: fleet.now)
     judge = Terminated(breaches, lambda: fleet, latest)
-    fleet = Fleet(mission, seed, born=lambda name, life: judge.born(life))
+    fleet = Fleet(mission, seed, lost_after=lost_after, born=lambda name, life: judge.born(life))
     return fleet, breaches
 
 
@@ -151,6 +146,28 @@ def test_a_member_with_a_new_disk_hears_of_the_end_before_it_promises(tmp_path: 
     assert states(fleet) == {key: [(1, "EXITED", "done")] for key in "abc"}
 
 
+@pytest.mark.parametrize("greets", [False, True], ids=["linked", "linked again"])
+def test_an_end_is_told_to_others_once_it_is_on_the_disk_where_it_happened(
+    tmp_path: Path, *, greets: bool
+) -> None:
+    """They might have it on their disks, where it is final, and boss would go on after a crash of b."""
+    fleet, breaches = judged(mission(tmp_path))
+    fleet.run(0.9)
+    fleet.disks["b"].sync = 60.0
+    run_until_ended(fleet)
+    if greets:
+        fleet.network.reset("b", "c")
+    fleet.run(1.5)
+    assert "EXITED" not in {state for name in "ac" for _, state, _ in states(fleet)[name]}
+    fleet.power_off("b")
+    fleet.disks["b"].sync = 0.002
+    fleet.boot("b")
+    fleet.run(20.0)
+    assert not breaches
+    assert len(said(fleet, "turned 1")) == 2
+    assert states(fleet) == {key: [(1, "EXITED", "done")] for key in "abc"}
+
+
 def test_an_end_that_only_its_host_knows_is_not_final_and_says_nothing_new_afterwards(tmp_path: Path) -> None:
     """The host that has it is cut off from all others: it has no lease, and they go on."""
     fleet, breaches = judged(mission(tmp_path))
@@ -165,6 +182,37 @@ def test_an_end_that_only_its_host_knows_is_not_final_and_says_nothing_new_after
     assert said(fleet, "turned 2")
     for rows in states(fleet).values():
         assert {outcome for generation, _, outcome in rows if generation > 1} == {"done"}
+
+
+def cut_off_at_the_end(folder: Path, *, until_done: bool = True) -> tuple[Fleet, Breaches]:
+    """boss ends on b, which nobody hears; others would recover it after ten seconds."""
+    slow = mission(folder, interval=10.0)
+    fleet, breaches = judged(slow, lost_after=5.0 if until_done else None)
+    fleet.run(0.9)
+    for other in "ac":
+        fleet.cut("b", other)
+    return fleet, breaches
+
+
+def test_with_until_done_a_host_waits_until_the_end_is_final(tmp_path: Path) -> None:
+    fleet, breaches = cut_off_at_the_end(tmp_path)
+    fleet.run(5.0)
+    assert said(
+        fleet, "boss has ended here, and no majority of the members has that on disk yet: b waits for it"
+    )
+    assert "b" in fleet.lives
+    fleet.heal_all()
+    fleet.run(20.0)
+    assert not breaches
+    assert fleet.left == dict.fromkeys("abc", 0)
+    assert not said(fleet, "recovered")
+
+
+def test_with_until_done_a_host_that_hears_no_majority_does_not_wait_for_ever(tmp_path: Path) -> None:
+    fleet, _ = cut_off_at_the_end(tmp_path)
+    fleet.run(9.0)
+    assert fleet.left["b"] == 0
+    assert said(fleet, "no majority of the members was heard for 5 s, and it may go on elsewhere")
 
 
 def test_an_operator_does_not_recover_what_has_ended(tmp_path: Path) -> None:
@@ -207,38 +255,6 @@ def test_a_new_run_of_the_mission_starts_what_has_ended(tmp_path: Path) -> None:
     assert len(said(fleet, "turned 1")) == 2
     assert not breaches
     assert states(fleet) == {key: [(1, "EXITED", "done"), (2, "EXITED", "done")] for key in "abc"}
-
-
-def an_end_is_like_nothing_known(patch: pytest.MonkeyPatch) -> None:
-    """As it was: a coordinator that has terminated looks like one of which nothing was ever heard."""
-    patch.setattr(Leases, "_saved_end", lambda self, agent: None)
-
-
-def a_promise_in_spite_of_a_known_end(patch: pytest.MonkeyPatch) -> None:
-    """It is told in acknowledgements, but whoever is asked does not look."""
-    on_propose, sought = Quorum._on_propose, Quorum._sought
-
-    def promises(self: Quorum, host: str, message: Any, now: float) -> Any:
-        return on_propose(self, host, structs.replace(message, start=2**62), now)
-
-    def silent(self: Quorum, agent: str, now: float) -> Any:
-        return structs.replace(sought(self, agent, now), ended=None)
-
-    patch.setattr(Quorum, "_on_propose", promises)
-    patch.setattr(Quorum, "_sought", silent)
-    patch.setattr(Terminations, "all", property(lambda self: []))
-
-
-@pytest.mark.parametrize("plant", [an_end_is_like_nothing_known, a_promise_in_spite_of_a_known_end])
-def test_the_judge_finds_what_lets_an_ended_coordinator_be_recovered(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, plant: Callable[[pytest.MonkeyPatch], None]
-) -> None:
-    plant(monkeypatch)
-    fleet, breaches = judged(mission(tmp_path))
-    fleet.run(0.8)
-    fleet.cut("a", "b")
-    fleet.run(8.2)
-    assert {breach.name for breach in breaches} == {"terminated", "promised"}
 
 
 @pytest.mark.few(2)

@@ -74,6 +74,7 @@ def said(fleet: Fleet, words: str) -> list[str]:
     return [host for _, host, text in fleet.log if words in text]
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("hosts", [3, 9, 12, 40])
 def test_an_idle_host_sends_at_most_eight_messages_a_second(tmp_path, monkeypatch, hosts):
     sent: list[str] = []
@@ -91,6 +92,7 @@ def test_an_idle_host_sends_at_most_eight_messages_a_second(tmp_path, monkeypatc
     assert len(sent) / hosts / 20.0 == pytest.approx(min(8, hosts - 1), rel=0.1)
 
 
+@pytest.mark.few(0)
 def test_walkers_go_everywhere_each_call_is_made_once_and_links_that_nobody_needs_go(tmp_path):
     fleet = Fleet(team(tmp_path, 24, "w0@host0?w0 w9@host9?w9 w20@host20?w20", WALKER), 1, one_copy)
     fleet.run(60.0)
@@ -109,6 +111,7 @@ def test_walkers_go_everywhere_each_call_is_made_once_and_links_that_nobody_need
     assert set(held.values()) == {2}
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize("seed", range(6))
 def test_two_that_call_one_another_at_the_same_moment_have_one_link(tmp_path, seed):
     fleet = Fleet(team(tmp_path, 24), seed)
@@ -131,6 +134,7 @@ def test_two_that_call_one_another_at_the_same_moment_have_one_link(tmp_path, se
     assert not said(fleet, "lost the link")
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("victim", ["host1", "host9"], ids=["a neighbour", "far off"])
 def test_a_host_dies_that_has_nothing_and_all_others_hear_how_it_ends(tmp_path, victim):
     fleet = Fleet(team(tmp_path, 16, "w@host0?p12&p5&p7&p3", GUEST), 2, one_copy, lost_after=5.0)
@@ -160,6 +164,7 @@ def test_a_host_comes_back_without_the_coordinator_and_all_say_that_it_is_lost(t
     assert fleet.left == dict.fromkeys((f"host{n}" for n in range(16)), exits.FAILED)
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("seed", range(3))
 def test_links_are_cut_and_nobody_takes_anybody_for_silent(tmp_path, seed):
     """Host 9 has no neighbour left that it can talk to; others still hear it."""
@@ -186,6 +191,7 @@ def test_in_any_weather_no_start_has_two_copies(tmp_path, seed):
     assert sum(stamps(fleet).values()) > 30
 
 
+@pytest.mark.few(0)
 def test_cut_and_broken_links_alone_make_no_call_twice(tmp_path):
     fleet = Fleet(team(tmp_path, 20, "w0@host0?w0 w5@host5?w5", WALKER), 5, one_copy)
     Weather(cut=1.0, reset=1.0, one_way=2.0, slow=2.0).over(fleet, random.Random(5))

@@ -77,7 +77,11 @@ def test_a_coordinator_that_is_nowhere_is_named(stuck_in):
     assert of("boss", lines) == "boss is nowhere: it begins on alpha, which does not run"
     lines = stuck_in("two.slow();", disturb=lambda team: team.at(3.0, lambda: team.crash("bravo")))
     assert of("boss", lines) == "boss is nowhere: it was on bravo, which does not run"
-    lines = stuck_in("sleep(100.0);", more="//Other:other@bravo\n", disturb=lambda team: team.crash("bravo"))
+    lines = stuck_in(
+        "sleep(100.0);",
+        more="//Other:other@bravo\n",
+        disturb=lambda team: team.at(0.5, lambda: team.crash("bravo")),
+    )
     assert of("other", lines) == "other is nowhere: it begins on bravo, which does not run"
     assert of("boss", lines).startswith("boss on alpha: sleeping")
 

@@ -109,6 +109,7 @@ def test_two_teams(lfield_mission):
 """
 
 
+@pytest.mark.few(0)
 def test_each_team_of_each_test_has_a_picture_of_its_own(tmp_path):
     test = MOVES.format(flight=str(Path(__file__).parents[2] / "examples/01-first-flight/mission.dL"))
     for folder in ("near", "far"):
@@ -130,6 +131,7 @@ def test_each_team_of_each_test_has_a_picture_of_its_own(tmp_path):
     assert said.count("tracks: ") == len(pictures)
 
 
+@pytest.mark.few(0)
 def test_a_picture_that_cannot_be_written_fails_no_test(tmp_path):
     test = MOVES.format(flight=str(Path(__file__).parents[2] / "examples/01-first-flight/mission.dL"))
     (tmp_path / "test_walk.py").write_text(test)
@@ -149,6 +151,7 @@ print(hashlib.sha256(repr((team.log, team.tracks, team.hops)).encode()).hexdiges
 """
 
 
+@pytest.mark.few(0)
 def test_the_same_seed_is_the_same_flight_in_every_process(tmp_path, monkeypatch):
     flight = str(Path(__file__).parents[2] / "examples/01-first-flight/mission.dL")
     seen = set()

@@ -1,12 +1,27 @@
 """What reaches a terminal orders it nothing."""
 
+import io
+import re
+
 import pytest
+import rich.table
 from hypothesis import given
 from hypothesis import strategies as st
+from rich.text import Text
 
+from lfield.cli.views.console import PlainConsole
 from lfield.text.findings import Table
 from lfield.text.source import Diagnostic, Source, Span
-from lfield.text.visible import ESCAPES, as_text, clipped, continued, in_one_line, visible
+from lfield.text.visible import (
+    ESCAPES,
+    as_text,
+    clipped,
+    continued,
+    in_one_line,
+    on_terminal,
+    unguarded,
+    visible,
+)
 
 
 @pytest.mark.parametrize(
@@ -78,3 +93,33 @@ def test_a_finding_is_short_and_orders_nothing() -> None:
         "    ^",
         "    hint: say \\u{7}",
     ]
+
+
+class Screen(io.StringIO):
+    def isatty(self) -> bool:
+        return True
+
+
+def test_a_terminal_gets_no_orders_and_a_file_gets_all_bytes() -> None:
+    text = "\x1b[31mred\x9b2J\ttab\r\n"
+    screen, file = Screen(), io.StringIO()
+    print(text, end="", file=on_terminal(screen))
+    print(text, end="", file=on_terminal(file))
+    assert screen.getvalue() == "\\u{1b}[31mred\\u{9b}2J\ttab\\r\n"
+    assert file.getvalue() == text
+    again = on_terminal(on_terminal(screen))
+    again.flush()
+    assert (again.isatty(), unguarded(again), unguarded(file)) == (True, screen, file)
+
+
+def test_a_table_on_a_terminal_has_the_control_sequences_of_rich_alone() -> None:
+    screen = Screen()
+    table = rich.table.Table("NOW")
+    table.add_row(Text("\x1b]0;title\x07", style="bold"))
+    table.add_row("\x1b[2J")
+    PlainConsole(file=screen, markup=False, width=40).print(table)
+    drawn = re.sub("\x1b\\[[0-9;]*m", "", screen.getvalue())
+    assert "\x1b" not in drawn
+    assert "\x07" not in drawn
+    assert "\\u{1b}]0" in drawn
+    assert "\\u{1b}[2" in drawn

@@ -31,7 +31,6 @@ SMALL = {
     "lfield/authority/keys.py": "keys as bytes, and the names of their files",
     "lfield/authority/minted.py": "keys of one run, in memory",
     "lfield/authority/pages/making_pages.py": "where the folder of an authority has pages",
-    "lfield/host/team/absent.py": "whom nobody waits for",
     "lfield/wire/reservations.py": "what is said of reservations, all of it",
     "lfield/capability/ways.py": "names that compiler and machine share",
     "lfield/clock.py": "a word that everybody speaks",

@@ -137,6 +137,7 @@ def travelling() -> bytes:
     return hosts.images[2]
 
 
+@pytest.mark.few(1)
 @settings(max_examples=300)
 @given(st.data())
 def test_hostile_bytes_are_refused_or_harmless(data: st.DataObject) -> None:

@@ -68,6 +68,7 @@ coordinator B { init(string[] arg) {
     assert desk.output == ["slow serves its limit of 1 threads"]
 
 
+@pytest.mark.few(4)
 @pytest.mark.parametrize(
     ("body", "reason"),
     [
@@ -95,6 +96,7 @@ coordinator Main { init(string[] arg) { print(findGood("good").hello()); } }
     assert [d.partition(":")[0] for d in died] == ([reason] if reason else [])
 
 
+@pytest.mark.few(1)
 def test_a_coordinator_that_only_calls_portals_starves_nobody() -> None:
     desk, _ = run_text(
         GOOD

@@ -117,6 +117,7 @@ class Cia402Node(AxisProtocol):
         if self.configured and self._nmt != t.OPERATIONAL:
             self.configured, self.needs_setup = False, True
             self.forget("not operational")
+            return self._told()
         if self.agreed.by_changes:
             return self._held()
         if self.wiring.clock.monotonic() - min(self._told_at.values()) > OLD:

@@ -224,7 +224,9 @@ class VehicleState:
         self.speeds, self.speeds_at = (math.hypot(message.vx, message.vy), -message.vz), now
         position = self.position
         assert position is not None
-        return {**_placed(position), "velocity": list(numbers[3:])}
+        over_ground, upwards = self.speeds
+        told = {"velocity": list(numbers[3:]), "groundSpeed": over_ground, "climb": upwards}
+        return {**_placed(position), **told}
 
     def _on_global_position(self, message: Any, _: float) -> Values:
         place = Place.scaled(message.lat, message.lon, message.alt)

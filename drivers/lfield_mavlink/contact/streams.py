@@ -53,7 +53,7 @@ LISTENED: Mapping[int, float] = {
     dialect.MAVLINK_MSG_ID_FENCE_STATUS: 1.0,
     dialect.MAVLINK_MSG_ID_MISSION_CURRENT: 2.0,
     # A lost position must be known within 2 s, also where packets are lost.
-    dialect.MAVLINK_MSG_ID_GPS_RAW_INT: 4.0,
+    dialect.MAVLINK_MSG_ID_GPS_RAW_INT: 5.0,
     dialect.MAVLINK_MSG_ID_EKF_STATUS_REPORT: 1.0,
     dialect.MAVLINK_MSG_ID_ESTIMATOR_STATUS: 1.0,
     # A foreign setpoint lasts until our next one: a second at most.
@@ -66,9 +66,10 @@ ONLY_PX4 = frozenset(
     {
         dialect.MAVLINK_MSG_ID_CURRENT_MODE,
         dialect.MAVLINK_MSG_ID_ESTIMATOR_STATUS,
-        dialect.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED,
     }
 )
+#: What rovers do not tell: a setpoint with its velocity.
+ONLY_COPTERS = frozenset({dialect.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED})
 
 
 class Streams:
@@ -131,7 +132,9 @@ class Streams:
 
     def _wanted(self) -> list[int]:
         """The messages to ask for, of those that its autopilot has."""
-        others = ONLY_ARDUPILOT if self._vehicle.profile.px4 else ONLY_PX4
+        profile = self._vehicle.profile
+        others = ONLY_ARDUPILOT if profile.px4 else ONLY_PX4
+        others |= frozenset() if profile.kind == "copter" else ONLY_COPTERS
         return [kind for kind in self._rates if kind not in others]
 
     def _missing(self) -> list[str]:

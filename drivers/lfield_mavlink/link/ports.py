@@ -22,7 +22,11 @@ MOST_NEIGHBOURS = 16
 #: Seconds for which a command of somebody else may be why a vehicle goes elsewhere.
 JUST = 3.0
 #: Messages that send a vehicle somewhere: SET_MODE, MISSION_SET_CURRENT, COMMAND_INT and _LONG, setpoints.
-COMMANDS = frozenset({11, 41, 75, 76, 84, 86})
+COMMANDS = frozenset({11, 41, 75, 76, 82, 84, 86})
+#: MAV_CMDs that do, of those two: modes, places, speeds, arming.
+_LEADS = frozenset(
+    {16, 17, 18, 20, 21, 22, 31, 34, 84, 85, 92, 115, 176, 177, 178, 185, 192, 193, 194, 195, 252, 300, 400}
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,16 +122,19 @@ class Neighbours:
         self._commands: dict[int, tuple[int, int, float]] = {}
 
     def commanded(self, message: Any, now: float) -> None:
-        """A message of somebody else, which sends a vehicle somewhere."""
+        """A message of somebody else, which may send a vehicle somewhere."""
+        if getattr(message, "command", None) not in (None, *_LEADS):
+            return
         who = message.get_srcSystem(), message.get_srcComponent(), now
         self._commands[message.target_system] = who
         if len(self._commands) > MOST_NEIGHBOURS:
             del self._commands[next(iter(self._commands))]
 
     def commander(self, system: int, now: float) -> str:
-        """`: system 77, component 1`, that has just commanded a vehicle; '' when nobody was heard to."""
-        by, component, at = self._commands.get(system, (0, 0, -math.inf))
-        return f": system {by}, component {component}" if now - at <= JUST else ""
+        """`system 77, component 1`, that has just commanded a vehicle; '' when nobody was heard to."""
+        nobody = (0, 0, -math.inf)
+        by, component, at = max((self._commands.get(n, nobody) for n in (system, 0)), key=lambda who: who[2])
+        return f"system {by}, component {component}" if now - at <= JUST else ""
 
     def heard(self, message: Any) -> None:
         """A message of somebody else."""

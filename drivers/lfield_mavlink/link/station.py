@@ -8,7 +8,7 @@ another ground station, and not this computer as the station of another vehicle.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 from lfield.driver import DeviceBinding, DeviceError
@@ -30,18 +30,31 @@ def station_of(binding: DeviceBinding) -> int:
 
 def check_stations(bindings: Sequence[DeviceBinding]) -> None:
     """Refuse stations that are vehicles, or stations of two of them, on one network. Raises DeviceError."""
-    systems = {binding.option("system"): binding for binding in bindings}
+    for binding, why in station_conflicts(bindings):
+        raise DeviceError(binding.field, why)
+
+
+def station_conflicts(bindings: Sequence[DeviceBinding]) -> Iterator[tuple[DeviceBinding, str]]:
+    """The bindings of a mission whose station is a vehicle or another one's station, each with a sentence.
+
+    Links may lead to one network, so endpoints do not matter; but vehicles with the same system id are never
+    on one network, so they may have the same station.
+    """
+    vehicles: dict[int, DeviceBinding] = {}
     stations: dict[int, DeviceBinding] = {}
     for binding in bindings:
+        vehicles.setdefault(binding.option("system"), binding)
+    for binding in bindings:
         station = station_of(binding)
-        if vehicle := systems.get(station):
-            whose = "itself" if vehicle is binding else vehicle.name
-            raise DeviceError(
-                binding.field, f"its station has the system id {station}, which is that of {whose}; {_CHOOSE}"
-            )
-        if (other := stations.setdefault(station, binding)) is not binding:
-            raise DeviceError(
-                binding.field,
+        other = stations.setdefault(station, binding)
+        if vehicle := vehicles.get(station):
+            whose = "itself" if binding.option("system") == station else vehicle.name
+            yield (
+                binding, f"its station has the system id {station}, which is that of {whose}; {_CHOOSE}"
+            )  # fmt: skip
+        elif other.option("system") != binding.option("system"):
+            yield (
+                binding,
                 f"its station has the system id {station}, and so has that of {other.name}: the death of one "
                 f"would not be noticed; {_CHOOSE}",
             )

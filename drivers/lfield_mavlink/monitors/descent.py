@@ -10,22 +10,28 @@ from __future__ import annotations
 
 import math
 import re
+from collections import deque
 from dataclasses import dataclass
 
 #: Metres below the lowest height that a motion may have, and m/s downwards there, that are a fall.
 LOST, SINKS = 1.0, 1.0
 #: m/s downwards that are a fall in any case: so much, or a share of the autopilot's own speed of descent.
 FASTEST, SHARE, MORE = 2.6, 1.4, 0.5
+#: A descent may be this share of the speed that was commanded, or is the autopilot's own; m/s of that where
+#: it is not known. So many metres beyond it are a fall.
+DESCENDS, UNKNOWN, BEYOND = 1.15, 2.0, 0.6
+#: Seconds for which a commanded speed downwards still counts: a vehicle brakes.
+COMMANDED = 1.5
 #: Seconds for which it must sink so fast.
 LASTS = 0.25
 #: m/s2 with which a vehicle ends a descent that it was commanded.
 BRAKES = 1.0
 #: Radians from upright, and the seconds for which it must tilt so far.
 TILTS, TILTS_FOR = math.radians(60.0), 0.4
-#: An impact: m/s downwards before, m/s2 at least with which that ended, and metres above home at most; higher
-#: it must be seen to stand.
-HITS, STOPS, LOW = 2.0, 6.0, 2.5
-#: Seconds between two samples in which an impact is looked for.
+#: An impact: m/s downwards before (or a share of the autopilot's own speed of landing, and more), m/s2 at
+#: least with which that ended, and metres above home at most; higher it must be seen to stand.
+HITS, TOUCHES, HARDER, STOPS, LOW = 2.0, 1.15, 0.25, 6.0, 2.5
+#: Seconds between two samples in which an impact is looked for, and a fall is added up.
 GAP = 1.0
 #: m/s downwards without motors that are no touch-down.
 DROPS = 1.5
@@ -56,11 +62,11 @@ class Expected:
     """What a motion may do with the height: metres above home, m/s.
 
     `goal` is the height that it leads to, infinity for one that only must not sink, None for one that leads
-    down; `sink` is the speed downwards that is commanded.
+    down. `by_velocity` says that its speed downwards is commanded again and again.
     """
 
     goal: float | None = None
-    sink: float = 0.0
+    by_velocity: bool = False
 
 
 #: Of a landing, a return, or a mission.
@@ -73,6 +79,11 @@ class DescentMonitor:
     def __init__(self) -> None:
         self.falling = self.crashed = ""
         self._expected, self._fastest = DESCENT, FASTEST
+        # The autopilot's own speeds of descent and of landing; the speeds downwards that were commanded.
+        self._descends, self._lands = UNKNOWN, 0.0
+        self._commanded: deque[tuple[float, float]] = deque()
+        # Metres that it has sunk beyond what it may.
+        self._excess = 0.0
         # The lowest height that this motion may have (None before a sample), and the highest that it has had.
         self._floor: float | None = None
         self._top = -math.inf
@@ -92,11 +103,19 @@ class DescentMonitor:
         """A motion begins, which may do this with the height."""
         if expected != self._expected:
             self._expected, self._floor, self._top = expected, None, -math.inf
-            self.falling, self._sinks_at = "", math.inf
+            self._sinks_at, self._excess = math.inf, 0.0
 
-    def may_descend(self, speed: float) -> None:
-        """The autopilot's own speed of descent in m/s, as its parameters have it."""
+    def on_velocity(self, sink: float, now: float) -> None:
+        """A velocity is commanded, in m/s downwards."""
+        self.expect(Expected(by_velocity=True))
+        self._commanded.append((now, max(0.0, sink)))
+        while self._commanded[0][0] < now - COMMANDED:
+            self._commanded.popleft()
+
+    def may_descend(self, speed: float, landing: float) -> None:
+        """Its own speeds of descent and of landing in m/s, as its parameters have them; 0: not known."""
         self._fastest = max(FASTEST, SHARE * speed + MORE)
+        self._descends, self._lands = max(speed, landing) or UNKNOWN, landing
 
     def clear(self) -> None:
         """A person has seen to it."""
@@ -120,6 +139,9 @@ class DescentMonitor:
         elif before and self._aloft:
             # ArduPilot says that it has landed whenever its motors are off: only a drop tells.
             self._aloft, self._off_at = False, now
+        if not self._aloft:
+            # What stands falls no more.
+            self.falling = self.crashed
         if not armed and now - self._off_at > RECOVERS + GAP:
             self._off_at = -math.inf
         return self._stood(landed, now)
@@ -132,7 +154,8 @@ class DescentMonitor:
             self._sinks_at = math.inf
             return found
         self._move_floor(height, sink)
-        why = self._why_falling(height, sink)
+        self._add_up(height, sink, now, 0.0 if last is None else now - last[0])
+        why = self._why_falling(height, sink, now)
         if not why:
             self._sinks_at = math.inf
             self._recover(sink, now)
@@ -184,9 +207,25 @@ class DescentMonitor:
         self._top = max(self._top, height)
         self._floor = min(goal, max(self._floor, self._top if sink < SINKS else self._floor))
 
-    def _why_falling(self, height: float, sink: float) -> str:
-        fastest = max(self._fastest, SHARE * self._expected.sink + MORE)
-        if sink > fastest:
+    def _may_sink(self, height: float, now: float) -> float:
+        """m/s at which it may go down now."""
+        if self._expected.by_velocity:
+            return DESCENDS * max(
+                (sink for at, sink in self._commanded if at >= now - COMMANDED), default=0.0
+            )
+        goal = self._expected.goal
+        leads_down = goal is None or goal < height - LOST or self._floor is None or self._floor < goal - LOST
+        return DESCENDS * self._descends if leads_down else math.inf
+
+    def _add_up(self, height: float, sink: float, now: float, took: float) -> None:
+        """Add up by how much it sinks faster than it may; what does not leave off is a fall."""
+        self._excess = max(0.0, self._excess + (sink - self._may_sink(height, now)) * min(took, GAP))
+
+    def _why_falling(self, height: float, sink: float, now: float) -> str:
+        commanded = max((each for at, each in self._commanded if at >= now - COMMANDED), default=0.0)
+        more = SINKS if self._expected.by_velocity else MORE
+        beyond = self._excess > BEYOND and sink > self._may_sink(height, now) + more
+        if beyond or sink > max(self._fastest, SHARE * commanded + MORE):
             return f"it sinks at {sink:.1f} m/s, {height:.1f} m above home"
         if self._floor is not None and height < self._floor - LOST and sink > SINKS:
             return f"it falls: {self._floor - height:.1f} m too low and sinking at {sink:.1f} m/s"
@@ -215,7 +254,8 @@ class DescentMonitor:
             return None
         at, was, fell = last
         took = now - at
-        if not 0.0 < took <= GAP or fell < HITS or sink > fell / 2.0:
+        hits = max(HITS, TOUCHES * self._lands + HARDER)
+        if not 0.0 < took <= GAP or fell < hits or sink > fell / 2.0:
             return None
         needed = fell**2 / (2.0 * max(was, 0.05)) if was <= LOW else 0.0
         if max((fell - sink) / took, needed) < STOPS:

@@ -11,27 +11,35 @@ from typing import Any
 from lfield.driver import DeviceError
 from lfield_mavlink.contact.contact import Contact
 from lfield_mavlink.geo import Place, Vector
-from lfield_mavlink.link.dialect import dialect
+from lfield_mavlink.link.dialect import AUTOPILOT, dialect
 from lfield_mavlink.modes import ARDUPILOT, PX4
 from lfield_mavlink.monitors.descent import DESCENT, DescentMonitor, Expected, Finding
-from lfield_mavlink.monitors.position import PositionMonitor
-from lfield_mavlink.monitors.target import DepartureMonitor, TargetMonitor
+from lfield_mavlink.monitors.position import FIX, PositionMonitor
+from lfield_mavlink.monitors.target import CourseMonitor, TargetMonitor
 from lfield_mavlink.services.parameters import Parameters
 from lfield_mavlink.setpoints.orders import Order
 from lfield_mavlink.setpoints.trajectory import ONLY_POSITION, POSITION_AND_YAW, Target
 
 #: Seconds until it is known what became of a vehicle whose motors went off in the air.
 SETTLES = 2.5
-#: Seconds for a second receiver to answer, and after which it is asked again.
-SECOND, AGAIN = 0.3, 1.0
+#: Seconds after which a second receiver is asked again while the first has no fix.
+AGAIN = 0.4
 #: Seconds until the speeds of descent are read, and until they are read again.
 FIRST, LOOK = 2.0, 60.0
-#: What needs no position, of what may be ordered.
-NEEDS_NONE = ("land", "arm", "disarm", "mode ")
+#: What may be ordered of one that falls.
+STOPS = ("land", "hold", "disarm", "mode ", "returnHome")
+#: What needs no position, of what may be ordered, and the modes that need none.
+NEEDS_NONE = ("land", "arm", "disarm")
+BLIND_MODES = frozenset(
+    {
+        "STABILIZE", "ACRO", "ALT_HOLD", "LAND", "MANUAL", "HOLD", "FBWA", "TRAINING", "SURFACE",
+        "STABILIZED", "ALTCTL", "AUTO.LAND",
+    }
+)  # fmt: skip
 #: MAV_FRAME whose heights are above mean sea level.
 ABOVE_SEA = (dialect.MAV_FRAME_GLOBAL, dialect.MAV_FRAME_GLOBAL_INT)
-#: type_mask: no place over ground, no height.
-NO_PLACE, NO_HEIGHT = 0x3, 0x4
+#: type_mask: no place over ground, no height, no velocity.
+NO_PLACE, NO_HEIGHT, NO_VELOCITY = 0x3, 0x4, 0x38
 #: m/s: the autopilot's own speeds of descent. Each has the names of one parameter by version, with how many
 #: of its unit are 1 m/s; https://ardupilot.org/copter/docs/parameters.html, and PX4's parameter reference.
 DESCENTS: Mapping[tuple[int, str], tuple[Mapping[str, float], ...]] = {
@@ -40,6 +48,11 @@ DESCENTS: Mapping[tuple[int, str], tuple[Mapping[str, float], ...]] = {
         {"LAND_SPD_HIGH_MS": 1.0, "LAND_SPEED_HIGH": 100.0},
     ),
     (PX4, "copter"): ({"MPC_Z_VEL_MAX_DN": 1.0},),
+}
+#: Its speeds of landing, likewise.
+LANDINGS: Mapping[tuple[int, str], tuple[Mapping[str, float], ...]] = {
+    (ARDUPILOT, "copter"): ({"LAND_SPD_MS": 1.0, "LAND_SPEED": 100.0},),
+    (PX4, "copter"): ({"MPC_LAND_SPEED": 1.0},),
 }
 
 
@@ -53,7 +66,7 @@ class FlightMonitor:
     def __init__(self, vehicle: Contact, parameters: Parameters) -> None:
         self._vehicle, self._state, self._parameters = vehicle, vehicle.state, parameters
         self._descent, self._position = DescentMonitor(), PositionMonitor()
-        self._target, self._departure = TargetMonitor(level=vehicle.state.kind != "rover"), DepartureMonitor()
+        self._target, self._course = TargetMonitor(level=vehicle.state.kind != "rover"), CourseMonitor()
         self.others: Callable[[], str] = lambda: ""
         self.is_ours: Callable[[], bool] = lambda: True
         #: Who has sent it elsewhere, in words, until it is released or on the ground; '' while nobody has.
@@ -95,6 +108,11 @@ class FlightMonitor:
         """Why it does not know where it is, '' while it does; at rest that does not matter."""
         return self._position.lost(self._now) if self._state.armed and self._is_judged_by_place else ""
 
+    @property
+    def is_blind(self) -> bool:
+        """Whether what it tells of its place and speed is a drift, in the air or not."""
+        return bool(self._position.lost(self._now))
+
     def check_begin(self, what: str) -> None:
         """A motion is to begin. Raises DeviceError when it must not, or needs a position that is lost."""
         if self.crashed:
@@ -102,10 +120,11 @@ class FlightMonitor:
                 f"{what} refused: {self.crashed}. It must be inspected; then an operator ends the lock-out "
                 "by 'lfield estop --lift', and release() takes it back"
             )
-        if (lost := self.lost_position) and not what.startswith(NEEDS_NONE):
-            raise self._vehicle.error(f"{what} refused: {lost}; land() needs no position")
-        self._departure = DepartureMonitor()
-        self._expect(DESCENT)
+        if (lost := self.lost_position) and self._needs_position(what):
+            raise self._vehicle.error(f"{what} refused: {lost}; {self._needs_none} needs no position")
+        if self.falling and not what.startswith(STOPS):
+            raise self._vehicle.error(f"{what} refused: {self.falling}")
+        self._course.begin(None)
 
     async def check(self, what: str, order: Order, left: float) -> None:
         """A motion goes on, `left` metres from its goal. Raises DeviceError when it must not."""
@@ -113,31 +132,48 @@ class FlightMonitor:
         descent = self._descent
         if descent.falling:
             raise self._vehicle.error(f"{what} ended early: {descent.falling}")
-        if self.lost_position and what != "land" and not await self._has_second():
-            raise self._vehicle.error(f"{what} ended early: {self.lost_position}; land() needs no position")
+        if (lost := self.lost_position) and self._needs_position(what):
+            raise self._vehicle.error(f"{what} ended early: {lost}; {self._needs_none} needs no position")
         if self.foreign:
             raise self._vehicle.error(f"{what} ended early: {self.foreign}; release() takes it back")
-        copter = self._vehicle.profile.kind == "copter"
-        if copter and order.leads and self._departure.is_leaving(left, self._now):
-            raise self._vehicle.error(
-                f"{what} ended early: it flies away from its goal, {left:.1f} m from it{self.others()}"
-            )
+        if order.leads and self._course.leaves:
+            words = f"{left:.1f} m from its goal it goes elsewhere, at {self._course.leaves:.1f} m/s"
+            if others := self.others():
+                self._take_over(f"{words}: {others}")
+            raise self._vehicle.error(f"{what} ended early: {self.foreign or words}")
+
+    async def check_landed(self, what: str) -> None:
+        """A landing is over. Raises DeviceError when it was a crash."""
+        await self.settle()
+        if self.crashed:
+            raise self._vehicle.error(f"{what} ended early: {self.crashed}")
 
     async def settle(self) -> None:
         """Wait until it is known what became of a vehicle whose motors went off in the air, if they did."""
         await self._vehicle.seen(lambda: not self._descent.undecided, SETTLES)
 
     def safe_mode(self, state: str) -> str:
-        """The mode for a safe state: without a position there is only a landing."""
+        """The mode for a safe state: without a position there is only a landing, and of a rover a stop."""
         profile = self._vehicle.profile
-        return profile.land if self.lost_position and profile.kind == "copter" else profile.safe(state)
+        lands = self.lost_position and profile.kind in ("copter", "rover")
+        return profile.land if lands else profile.safe(state)
+
+    def _needs_position(self, what: str) -> bool:
+        profile = self._vehicle.profile
+        mode = profile.hold if what == "hold" else what.removeprefix("mode ")
+        return not (what.startswith(NEEDS_NONE) or mode in BLIND_MODES)
+
+    @property
+    def _needs_none(self) -> str:
+        stops = "hold()" if self._vehicle.profile.hold in BLIND_MODES else "disarm()"
+        return "land()" if self._flies else stops
 
     # -- what is done -------------------------------------------------------------------------------------
 
     def on_order(self, order: Order) -> None:
         """An order begins."""
-        self._target.clear()
-        self._modes = order.modes
+        self._target.clear(self._now)
+        self._modes = order.modes | {self._vehicle.profile.guided}
         if not order.leads:
             return
         self._expect(Expected(math.inf if order.goal is None else -order.goal[2]))
@@ -146,9 +182,9 @@ class FlightMonitor:
 
     def on_mode(self, mode: str) -> None:
         """A mode is commanded, in which there are no targets of this program."""
-        self._target.clear()
-        self._modes = frozenset()
         profile = self._vehicle.profile
+        self._target.clear(self._now)
+        self._modes = frozenset({profile.guided})
         self._expect(Expected(math.inf) if mode in (profile.hold, profile.guided) else DESCENT)
 
     def on_sent(self, target: Target) -> None:
@@ -157,33 +193,42 @@ class FlightMonitor:
             self._modes |= {self._vehicle.profile.guided}
             self._sent(target.place)
             return
-        self._target.clear()
-        down = target.velocity[2]
-        self._expect(Expected(None if down > 0.0 else math.inf, max(0.0, down)))
+        self._target.on_velocity(target.velocity, self._now)
+        self._descent.on_velocity(target.velocity[2], self._now)
+
+    def goes_to(self, goal: Vector) -> None:
+        """It is on its way straight to a place, in metres of home."""
+        self._course.begin(goal)
 
     def release(self) -> None:
         """The program takes it back, after whatever a person has allowed."""
         self.foreign = ""
-        self._target.clear()
+        self._target.clear(self._now)
         self._descent.clear()
 
     async def keep(self) -> None:
         """Read how fast the autopilot descends by its own parameters, again and again, until cancelled."""
         await asyncio.sleep(FIRST)
-        asked = list(DESCENTS.get((self._state.autopilot, self._state.kind), ()))
-        speeds: dict[str, float] = {}
-        while asked:
-            for names in asked:
-                if self._vehicle.lost or self._vehicle.quiet:
-                    continue
-                with suppress(DeviceError):
-                    name, value = await self._parameters.read_any(names)
-                    if value is not None and math.isfinite(value):
-                        speeds[name] = value / names[name]
-            self._descent.may_descend(max(speeds.values(), default=0.0))
+        which = self._state.autopilot, self._state.kind
+        descents, landings = list(DESCENTS.get(which, ())), list(LANDINGS.get(which, ()))
+        while descents or landings:
+            descends, lands = await self._fastest(descents), await self._fastest(landings)
+            self._descent.may_descend(descends, lands)
             await asyncio.sleep(LOOK)
-            # What it does not have it does not get either.
-            asked = [names for names in asked if not speeds.keys().isdisjoint(names)]
+
+    async def _fastest(self, asked: list[Mapping[str, float]]) -> float:
+        """The greatest of some speeds in m/s; what it does not have is not asked for again."""
+        speeds = [0.0]
+        for names in list(asked):
+            if self._vehicle.lost or self._vehicle.quiet:
+                continue
+            with suppress(DeviceError):
+                name, value = await self._parameters.read_any(names)
+                if value is None:
+                    asked.remove(names)
+                elif math.isfinite(value):
+                    speeds.append(value / names[name])
+        return max(speeds)
 
     # -- messages -----------------------------------------------------------------------------------------
 
@@ -198,10 +243,14 @@ class FlightMonitor:
         """A target that is not ours is a takeover, once it is known that the mode is still ours."""
         if self._state.mode not in self._modes or not self._state.armed or self.foreign:
             return
-        far = self._target.on_guided(self._now)
-        if far is not None:
-            self.foreign = f"another station has sent it elsewhere, {far:.0f} m from its goal{self.others()}"
-            self._vehicle.note(f"taken over: {self.foreign}. release() takes it back")
+        if words := self._target.on_guided(self._now):
+            others = self.others()
+            told = f"another station has sent it elsewhere, {words}"
+            self._take_over(f"{told}: {others}" if others else told)
+
+    def _take_over(self, words: str) -> None:
+        self.foreign = words
+        self._vehicle.note(f"taken over: {words}. release() takes it back")
 
     def _on_position(self, message: Any) -> None:
         state = self._state
@@ -210,6 +259,8 @@ class FlightMonitor:
             return
         found = self._descent.on_motion(state.height, message.vz, self._now, judged=self._is_judged)
         self._take(found)
+        if state.position is not None:
+            self._course.on_motion(state.position, state.velocity, self._now)
 
     def _on_attitude(self, message: Any) -> None:
         if math.isfinite(message.roll) and math.isfinite(message.pitch):
@@ -230,6 +281,16 @@ class FlightMonitor:
 
     def _on_gps(self, message: Any) -> None:
         self._position.on_fix(0, message.fix_type, self._now)
+        second = self._state.armed and message.fix_type < FIX and not self._vehicle.quiet
+        if second and self._now - self._second_at >= AGAIN:
+            # A second receiver does not tell by itself.
+            self._second_at = self._now
+            asks, kind = dialect.MAV_CMD_REQUEST_MESSAGE, float(dialect.MAVLINK_MSG_ID_GPS2_RAW)
+            self._vehicle.send(
+                dialect.MAVLink_command_long_message(
+                    self._vehicle.system, AUTOPILOT, asks, 0, kind, *[0.0] * 6
+                )
+            )
 
     def _on_second_gps(self, message: Any) -> None:
         self._position.on_fix(1, message.fix_type, self._now)
@@ -254,15 +315,27 @@ class FlightMonitor:
         else:
             return
         level = message.coordinate_frame in ABOVE_SEA and not message.type_mask & NO_HEIGHT
-        self._target.on_told((north, east, down if level and state.origin else math.nan), self._now)
+        self._told_place((north, east, down if level and state.origin else math.nan))
 
     def _on_local_target(self, message: Any) -> None:
-        """The setpoint of PX4 in OFFBOARD; in its own modes it tells where it is going next."""
-        if self._state.profile is None or not self._vehicle.profile.px4 or message.type_mask & NO_PLACE:
+        """The setpoint in the mode for them; in its own modes PX4 tells where it is going next.
+
+        The place of an ArduCopter is told by the other message.
+        """
+        state = self._state
+        if state.profile is None or state.mode != self._vehicle.profile.guided:
             return
-        place = (message.x, message.y, message.z)
-        if self._state.mode == self._vehicle.profile.guided and all(map(math.isfinite, place[:2])):
-            self._target.on_told(place, self._now)
+        place, velocity = (message.x, message.y, message.z), (message.vx, message.vy, message.vz)
+        if not message.type_mask & NO_PLACE and all(map(math.isfinite, place[:2])):
+            if self._vehicle.profile.px4:
+                self._told_place(place)
+        elif self._is_aloft and not message.type_mask & NO_VELOCITY and all(map(math.isfinite, velocity)):
+            self._target.on_told_velocity(velocity, self._now)
+
+    def _told_place(self, place: Vector) -> None:
+        position = self._state.position
+        here = None if position is None else self._local(position)
+        self._target.on_told_place(place, self._now, here, aloft=self._is_aloft)
 
     # -- steps --------------------------------------------------------------------------------------------
 
@@ -278,6 +351,10 @@ class FlightMonitor:
     def _landed(self) -> bool | None:
         """What does not fly never is in the air."""
         return self._state.landed if self._flies else True
+
+    @property
+    def _is_aloft(self) -> bool:
+        return self._flies and self._state.landed is False
 
     @property
     def _is_judged(self) -> bool:
@@ -296,23 +373,12 @@ class FlightMonitor:
     def _sent(self, place: Vector) -> None:
         local, state = self._local(place), self._state
         rests = None if state.position is None else self._local(state.position)
-        self._target.on_sent(local, self._now, rests)
+        self._target.on_place(local, self._now, rests)
 
     def _local(self, place: Vector) -> Vector:
         """A place about home in the autopilot's local frame."""
         north, east, down = (p + h for p, h in zip(place, self._state.home_offset, strict=True))
         return north, east, down
-
-    async def _has_second(self) -> bool:
-        """Whether a second receiver has a fix: it is asked, since it does not tell by itself."""
-        if self._now - self._second_at > AGAIN:
-            self._second_at = self._now
-            number = float(dialect.MAVLINK_MSG_ID_GPS2_RAW)
-            await self._vehicle.exchange.command(
-                dialect.MAV_CMD_REQUEST_MESSAGE, number, once=True, patience=SECOND
-            )
-            await self._vehicle.seen(lambda: not self.lost_position, SECOND)
-        return not self.lost_position
 
     def _take(self, found: Finding | None) -> None:
         if found is None:

@@ -4,7 +4,8 @@ An ArduCopter without GPS goes on for 8 s as if nothing had happened: mode, posi
 only the fix is gone (gauntlet-a). Its estimator says so after 6 s (EKF_STATUS_REPORT), PX4's within 5 s
 (ESTIMATOR_STATUS). What has never had a fix knows its place by other means, and is not judged.
 
-A vehicle with two receivers is lost when neither has a fix. What is indoors from its start, or flies by a
+A vehicle with two receivers is lost when neither has a fix: GPS_RAW_INT is of the first, GPS2_RAW of the
+second. A fix that is away for a second is no loss. What is indoors from its start, or flies by a
 camera, tells no fix at all, or one that never was three-dimensional: its motions go on.
 """
 
@@ -14,8 +15,9 @@ import math
 
 #: The least fix that gives a place: three-dimensional.
 FIX = 3
-#: Seconds without a fix that are a loss: a receiver may miss one solution.
-LASTS = 0.4
+#: Seconds since the last word of a fix that are a loss. With five words a second one that is away for a
+#: second is back by then, and a loss is thrown within 2 s also where words come 0.5 s late.
+LASTS = 1.25
 #: Seconds for which a receiver's word counts.
 OLD = 4.0
 #: EKF_STATUS_REPORT and ESTIMATOR_STATUS: an absolute horizontal position. PX4 has the bit of a constant one
@@ -28,18 +30,15 @@ class PositionMonitor:
 
     def __init__(self) -> None:
         self._fixes: dict[int, tuple[int, float]] = {}
-        self._had_fix = False
-        self._lost_at = math.inf
+        # When a receiver had a fix last, infinity before any had one.
+        self._fixed_at = math.inf
         self._estimated = self._estimate_lost = False
 
     def on_fix(self, receiver: int, fix: int, now: float) -> None:
         """A receiver tells its GPS_FIX_TYPE."""
         self._fixes[receiver] = fix, now
-        fresh = [fix for fix, at in self._fixes.values() if now - at <= OLD]
-        if max(fresh) >= FIX:
-            self._had_fix, self._lost_at = True, math.inf
-        elif self._had_fix:
-            self._lost_at = min(self._lost_at, now)
+        if fix >= FIX:
+            self._fixed_at = now
 
     def on_estimate(self, flags: int) -> None:
         """The estimator tells its flags."""
@@ -49,12 +48,12 @@ class PositionMonitor:
 
     def restart(self) -> None:
         """The autopilot was switched on anew, or is on the ground: nothing is lost that was not found."""
-        self._had_fix, self._lost_at = False, math.inf
+        self._fixed_at = math.inf
         self._estimated = self._estimate_lost = False
 
     def lost(self, now: float) -> str:
         """Why it does not know where it is, in words; '' while it does, or never told."""
-        if now - self._lost_at >= LASTS:
-            fix = max(fix for fix, _ in self._fixes.values())
-            return f"its GPS has no fix any more (GPS_FIX_TYPE {fix})"
+        fresh = [fix for fix, at in self._fixes.values() if now - at <= OLD]
+        if now - self._fixed_at >= LASTS and fresh and max(fresh) < FIX:
+            return f"its GPS has no fix any more (GPS_FIX_TYPE {max(fresh)})"
         return "its estimator has no position any more" if self._estimate_lost else ""

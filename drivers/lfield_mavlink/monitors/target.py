@@ -1,8 +1,9 @@
-"""Whether the autopilot follows the target that it was sent: what it tells of it is compared. Pure.
+"""Whether the autopilot follows the targets that it was sent: what it tells of them is compared. Pure.
 
 POSITION_TARGET_GLOBAL_INT and POSITION_TARGET_LOCAL_NED tell where an autopilot in the mode for setpoints is
 going. Any station may send it somewhere else: an ArduCopter follows the last setpoint, whoever sent it, and
-tells nobody (gauntlet-a).
+tells nobody (gauntlet-a). It tells no place while it follows a velocity, takes off, or holds after a takeoff;
+PX4 tells a velocity without a place then (px4-copter.d-velocity).
 """
 
 from __future__ import annotations
@@ -14,87 +15,183 @@ from lfield_mavlink.geo import Vector
 
 #: Metres over ground and in height between two targets that are not the same.
 NEAR, LEVEL = 2.0, 3.0
-#: Seconds for which a target may still be followed that another has replaced: packets are late and lost.
+#: m/s between two velocities that are not the same; over ground a slower one may be a bounded one.
+SAME = 0.6
+#: Metres about the vehicle within which a place may be where it stops by itself.
+HERE = 5.0
+#: Seconds for which a target may still be told that another has replaced: packets are late and lost.
 LATE = 3.0
 #: Seconds in which the first of a series of targets must have been seen.
-SEEN = 2.5
+SEEN = 1.2
 
 
 class TargetMonitor:
-    """The targets of one vehicle in its local frame: those that were sent, and what it tells."""
+    """The targets of one vehicle in its local frame: those that were sent, and what it tells.
+
+    A motion is by places, by velocities, or (a takeoff, a hover) by neither.
+    """
 
     def __init__(self, *, level: bool = True) -> None:
         self._level = level
-        self._sent: deque[tuple[float, Vector]] = deque()
-        # Targets of before, until one of these has been seen: what its fence forbids it ignores.
-        self._earlier: list[Vector] = []
+        self._places: deque[tuple[float, Vector]] = deque()
+        self._velocities: deque[tuple[float, Vector]] = deque()
+        # Targets of before and until when they may be told. Until one of these has been seen all of them may:
+        # what its fence forbids it ignores.
+        self._earlier: list[tuple[float, Vector]] = []
         self._began = math.inf
-        self._seen = False
-        self._strange: tuple[float, Vector] | None = None
+        # When the newest of the places was sent that it is known to have followed.
+        self._followed = -math.inf
+        self._seen = self._by_velocity = False
+        self._stops_at: float | None = None
+        self._strange: tuple[float, str] | None = None
 
-    def clear(self) -> None:
+    def clear(self, now: float) -> None:
         """What it follows from now on is no target that was sent; it may still tell the last ones."""
-        self._earlier = [place for _, place in self._sent] or self._earlier
-        self._sent.clear()
-        self._began, self._seen, self._strange = math.inf, False, None
+        self._earlier = [each for each in self._earlier if now <= each[0]]
+        self._earlier += [(now + LATE, place) for _, place in self._places]
+        self._places.clear()
+        self._began, self._followed, self._seen, self._by_velocity = now, -math.inf, False, False
+        self._strange = self._stops_at = None
 
-    def on_sent(self, place: Vector, now: float, rests_at: Vector | None) -> None:
+    def on_place(self, place: Vector, now: float, rests_at: Vector | None) -> None:
         """A position was sent; `rests_at` is where it stops when it has not taken in any yet."""
-        if not self._sent:
+        if self._by_velocity:
+            self.clear(now)
+        if not self._places:
             self._began = now
             if rests_at is not None:
-                self._sent.append((now, rests_at))
-        if self._sent and self._sent[-1][1] == place:
-            self._sent.pop()
-        self._sent.append((now, place))
-        while self._seen and len(self._sent) > 1 and self._sent[0][0] < now - LATE:
-            self._sent.popleft()
+                self._places.append((now, rests_at))
+        if self._places and self._places[-1][1] == place:
+            self._places.pop()
+        self._places.append((now, place))
+        while len(self._places) > 1 and self._places[0][0] < min(now, self._followed) - LATE:
+            self._places.popleft()
 
-    def on_told(self, place: Vector, now: float) -> None:
-        """The autopilot tells its target; a height that is not a number is not told."""
-        if not self._sent:
-            return
-        if self._is_sent(place):
-            # Of a goal that is ignored it tells nothing: only the last one shows that they are followed.
-            self._seen = self._seen or self._is_near(place, self._sent[-1][1])
-        elif (self._seen or now - self._began > SEEN) and self._strange is None:
-            self._strange = now, place
+    def on_velocity(self, velocity: Vector, now: float) -> None:
+        """A velocity was sent."""
+        if not self._by_velocity:
+            self.clear(now)
+            self._by_velocity = True
+        self._velocities.append((now, velocity))
+        while self._velocities[0][0] < now - LATE:
+            self._velocities.popleft()
 
-    def on_guided(self, now: float) -> float | None:
-        """It is still in the mode for setpoints: metres between its target and the one that was sent.
+    def on_told_place(self, place: Vector, now: float, here: Vector | None, *, aloft: bool) -> None:
+        """The autopilot tells its target; a height that is not a number is not told.
 
-        None while it is the one that was sent, or nothing is known. A target of another mode may be told
-        before that mode is.
+        `here` is where it is, and `aloft` whether it flies: on the ground it may tell a target of long ago.
         """
-        if self._strange is None or now <= self._strange[0] or not self._sent:
-            return None
-        return math.dist(self._strange[1][:2], self._sent[-1][1][:2])
+        if (sent := self._sent_at(place, now)) is not None:
+            self._followed = max(self._followed, sent)
+            # Of a goal that is ignored it tells nothing: only the last one shows that they are followed.
+            self._seen = self._seen or (bool(self._places) and self._is_near(place, self._places[-1][1]))
+            return
+        begins = now - self._began <= SEEN
+        if self._places:
+            if self._seen or not begins:
+                self._find(now, f"{self._left(place):.0f} m from its goal")
+        elif here is not None and (aloft or self._by_velocity):
+            far = math.dist(place[:2], here[:2])
+            if far > HERE or (self._by_velocity and not begins):
+                self._find(now, f"to a place {far:.0f} m away")
 
-    def _is_sent(self, place: Vector) -> bool:
-        earlier = () if self._seen else self._earlier
-        return any(self._is_near(place, sent) for sent in (*(each for _, each in self._sent), *earlier))
+    def on_told_velocity(self, velocity: Vector, now: float) -> None:
+        """The autopilot tells that it follows a velocity."""
+        words = f"at {math.hypot(*velocity):.1f} m/s"
+        if self._was_sent(velocity, now):
+            self._stops_at = None
+        elif math.hypot(*velocity) > SAME:
+            self._find(now, words)
+        elif self._places and self._seen:
+            # It stops instead of going on; once is what it does by itself when it enters the mode.
+            self._stops_at = now if self._stops_at is None else self._stops_at
+            if now - self._stops_at > SEEN:
+                self._find(now, words)
+
+    def on_guided(self, now: float) -> str:
+        """It is still in the mode for setpoints: how its target differs from what was sent, in words.
+
+        '' while it is the one that was sent, or nothing is known. A target of another mode may be told before
+        that mode is.
+        """
+        return "" if self._strange is None or now <= self._strange[0] else self._strange[1]
+
+    def _find(self, now: float, words: str) -> None:
+        if self._strange is None:
+            self._strange = now, words
+
+    def _left(self, place: Vector) -> float:
+        goal = self._places[-1][1]
+        level = self._level and math.isfinite(place[2])
+        return math.dist(place, goal) if level else math.dist(place[:2], goal[:2])
+
+    def _sent_at(self, place: Vector, now: float) -> float | None:
+        """When a place was sent last, minus infinity before this motion; None for one that was not."""
+        for at, sent in reversed(self._places):
+            if self._is_near(place, sent):
+                return at
+        ignored = bool(self._places) and not self._seen
+        earlier = (each for until, each in self._earlier if now <= until or ignored)
+        return -math.inf if any(self._is_near(place, sent) for sent in earlier) else None
 
     def _is_near(self, place: Vector, sent: Vector) -> bool:
         level = self._level and math.isfinite(place[2])
         return math.dist(place[:2], sent[:2]) <= NEAR and (not level or abs(place[2] - sent[2]) <= LEVEL)
 
+    def _was_sent(self, velocity: Vector, now: float) -> bool:
+        """Whether it is a velocity of the last seconds, or the present one, bounded by the autopilot."""
+        recent = [sent for at, sent in self._velocities if at >= now - LATE]
+        recent += [self._velocities[-1][1]] if self._by_velocity else []
+        return any(_is_bounded(velocity, sent) for sent in recent)
 
-class DepartureMonitor:
-    """Whether a vehicle goes away from a goal that it was closing in on."""
 
-    #: m/s away, the seconds for which, and the metres farther than before.
-    SPEED, LASTS, AWAY = 0.5, 0.6, 3.0
+def _is_bounded(velocity: Vector, sent: Vector) -> bool:
+    """Whether a velocity is another one, or a slower one in its direction; it may climb more slowly."""
+    fast = math.hypot(*sent[:2])
+    along = sum(v * s for v, s in zip(velocity[:2], sent[:2], strict=True)) / fast if fast else 0.0
+    share = min(1.0, max(0.0, along / fast)) if fast else 0.0
+    off = math.dist(velocity[:2], (share * sent[0], share * sent[1]))
+    low, high = sorted((0.0, sent[2]))
+    return off <= SAME and low - SAME <= velocity[2] <= high + SAME
+
+
+class CourseMonitor:
+    """Whether a vehicle that was on its way to a goal goes somewhere else, by its velocity over ground.
+
+    It is on its way once its course is within TOWARDS of the goal; rovers turn first, and copters speed up.
+    Then a course beyond OFF for LASTS seconds, faster than SPEED m/s, is not that to the goal. Within NEAR
+    metres of it, and what it needs to brake, courses mean nothing.
+    """
+
+    TOWARDS, OFF, LASTS, SPEED, NEAR = math.radians(45.0), math.radians(60.0), 0.8, 0.8, 3.0
 
     def __init__(self) -> None:
-        self._best = self._last = math.inf
-        self._last_at = self._away_at = math.inf
+        self._goal: Vector | None = None
+        self._was_towards = False
+        self._off_at = math.inf
+        #: The m/s at which it goes elsewhere, 0 while it does not.
+        self.leaves = 0.0
 
-    def is_leaving(self, left: float, now: float) -> bool:
-        """A sample of the distance to the goal in metres."""
-        took, changed = now - self._last_at, left - self._last
-        if took > 0.0 or self._last == math.inf:
-            leaves = took > 0.0 and changed > self.SPEED * took
-            self._away_at = min(self._away_at, now) if leaves else math.inf
-            self._last, self._last_at = left, now
-        self._best = min(self._best, left)
-        return now - self._away_at >= self.LASTS and left > self._best + self.AWAY
+    def begin(self, goal: Vector | None) -> None:
+        """A motion begins, to a goal or to none that is known."""
+        self._goal, self._was_towards = goal, False
+        self._off_at, self.leaves = math.inf, 0.0
+
+    def on_motion(self, place: Vector, velocity: Vector, now: float) -> None:
+        """A sample."""
+        if self._goal is None:
+            return
+        way = (self._goal[0] - place[0], self._goal[1] - place[1])
+        left, speed = math.hypot(*way), math.hypot(*velocity[:2])
+        if speed < self.SPEED or left < self.NEAR + speed**2 / 2.0:
+            self._off_at, self.leaves = math.inf, 0.0
+            return
+        cosine = (way[0] * velocity[0] + way[1] * velocity[1]) / (left * speed)
+        off = math.acos(min(1.0, max(-1.0, cosine)))
+        self._was_towards = self._was_towards or off < self.TOWARDS
+        if not self._was_towards or off < self.OFF:
+            self._off_at, self.leaves = math.inf, 0.0
+            return
+        self._off_at = min(self._off_at, now)
+        if now - self._off_at >= self.LASTS:
+            self.leaves = speed

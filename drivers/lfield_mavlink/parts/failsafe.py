@@ -28,6 +28,8 @@ BEFORE = 0.5
 #: That a failsafe acts, and what is said of one that does not, or not any more.
 _ACTS = re.compile(r"failsafe|fence breached", re.IGNORECASE)
 _DOES_NOT = re.compile(r"cleared|warning|^(preflight|prearm|arm):?", re.IGNORECASE)
+#: What ArduPilot says when it leaves its fence.
+_BREACH = re.compile(r"fence breached", re.IGNORECASE)
 #: What names the reason of a failsafe.
 _NAMES = re.compile(r"failsafe|geofence: |fence breached|battery", re.IGNORECASE)
 
@@ -112,7 +114,11 @@ class Failsafe:
 
     def _on_text(self, _: Any) -> None:
         now = self._vehicle.clock.monotonic()
-        if any(_ACTS.search(text) and not _DOES_NOT.search(text) for text in self._vehicle.texts.since(now)):
+        acts = [t for t in self._vehicle.texts.since(now) if _ACTS.search(t) and not _DOES_NOT.search(t)]
+        if any(_BREACH.search(text) for text in acts):
+            # FENCE_STATUS comes once a second: where the breach is caught, it must not read as none.
+            self._vehicle.publish(fenceBreached=True)
+        if acts:
             self._notice_late()
 
     def _on_fence(self, message: Any) -> None:

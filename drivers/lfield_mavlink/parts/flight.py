@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import math
+from contextlib import suppress
 from typing import Any
 
 from lfield.driver import DeviceError
@@ -163,7 +164,7 @@ class Flight:
             return 0.0 if self._down else FAR - place[2]
 
         await self._motion.travel("land", Order(frozenset({mode})), height, 0.0, SINKS)
-        await self._go_off()
+        await self._go_off("land")
 
     async def do_return_home(self) -> None:
         """Back to where home is; what flies and can land is done when it stands there."""
@@ -179,9 +180,13 @@ class Flight:
                 0.0,
                 COMES_BACK,
             )
-            await self._go_off()
+            await self._go_off("returnHome")
             return
         arrival = await self._motion.arrival()
+        if self._vehicle.profile.px4:
+            # It would drive faster than its own parameter. One that takes no speed returns all the same.
+            with suppress(DeviceError):
+                await self._motion.speed.keep_wanted()
 
         def left(place: Vector) -> float:
             far = math.hypot(*place[:2])
@@ -288,13 +293,14 @@ class Flight:
         """Whether it stands on the ground, or does not move by itself."""
         return bool(self._state.landed) or not self._state.armed
 
-    async def _go_off(self) -> None:
+    async def _go_off(self, what: str) -> None:
         """Wait until the autopilot has switched the motors off after a landing, or switch them off.
 
         An arming in between would find them on, and lose them when their time is over. A PX4 whose owner
-        wants them to stay on keeps them on. Raises DeviceError.
+        wants them to stay on keeps them on. Raises DeviceError, also when the landing was a crash.
         """
         vehicle = self._vehicle
+        await self._motion.monitor.check_landed(what)
         if not vehicle.profile.flies or await vehicle.seen(lambda: not self._state.armed, GOES_OFF):
             return
         delay = await self._parameters.read(DELAY_OFF) if vehicle.profile.px4 else None

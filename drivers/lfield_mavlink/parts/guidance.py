@@ -85,6 +85,7 @@ class Guidance:
         speed = await motion.speed.of_goal()
         order = motion.orders.go_to(self._state, goal, speed)
         await motion.start(what, order)
+        motion.monitor.goes_to(goal)
         arrival = await motion.arrival()
 
         def distance(place: Vector) -> float:
@@ -166,7 +167,8 @@ class Guidance:
         velocity = (north, east, down)
         self._limits.check_speed("setVelocity", math.hypot(*velocity))
         self._limits.check_way_out(self._state.position, velocity)
-        await self._follow("setVelocity", Target(ONLY_VELOCITY, velocity=velocity))
+        commanded = self._motion.speed.of_velocity(velocity)
+        await self._follow("setVelocity", Target(ONLY_VELOCITY, velocity=commanded))
         self._look_ahead(velocity)
 
     def _look_ahead(self, velocity: Vector) -> None:

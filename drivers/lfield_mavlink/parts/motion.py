@@ -9,7 +9,6 @@ from contextlib import suppress
 from lfield.driver import DeviceError
 from lfield_mavlink.contact.contact import SHOWS, Contact
 from lfield_mavlink.geo import Vector
-from lfield_mavlink.limits import BRAKES
 from lfield_mavlink.link.dialect import dialect
 from lfield_mavlink.modes import AUTONOMOUS
 from lfield_mavlink.monitors.flight_monitor import FlightMonitor
@@ -21,7 +20,7 @@ from lfield_mavlink.setpoints.guided_mode import GuidedMode
 from lfield_mavlink.setpoints.orders import Order, Patience, Stack, orders_for, reposition
 from lfield_mavlink.setpoints.speed import Speed
 from lfield_mavlink.setpoints.stream import SetpointStream
-from lfield_mavlink.setpoints.trajectory import Stay, Target, Trajectory
+from lfield_mavlink.setpoints.trajectory import Stay, Target, Trajectory, stopping_place
 
 #: Of what flies to a goal, and of what drives there.
 ON_ITS_WAY, DRIVES = Patience(), Patience(turning=40.0, detour=30.0)
@@ -35,12 +34,6 @@ PLACED = 0.5
 LEFT = 0.7
 #: m/s over ground with which a stop is followed.
 STAYS_AT = 1.0
-
-
-def stopping_place(place: Vector, velocity: Vector) -> Vector:
-    """Where it comes to rest when it brakes now: behind that, what steers like a car would drive a loop."""
-    way = math.hypot(*velocity[:2]) / (2.0 * BRAKES)
-    return place[0] + velocity[0] * way, place[1] + velocity[1] * way, place[2]
 
 
 class Motion:
@@ -78,8 +71,9 @@ class Motion:
         if self.failsafe.has_it or self.monitor.foreign or not self._state.armed:
             return not self._state.armed
         profile = self._vehicle.profile
-        # What it does by itself ends on the ground; in the air somebody has chosen that mode.
-        own = profile.own if self._state.landed else ()
+        # What it does by itself ends on the ground; in the air, or instead of setpoints, somebody chose it.
+        by_itself = self._state.landed if profile.flies else self._commanded != {profile.guided}
+        own = profile.own if by_itself else ()
         return self._state.mode in (profile.guided, *own, *self._commanded)
 
     def claim(self, *modes: str) -> None:
@@ -220,10 +214,13 @@ class Motion:
     def check_bounded(self, what: str, mode: str) -> None:
         """Refuse a mode in which PX4 moves by itself, unless the binding waives that. Raises DeviceError.
 
-        One that is the binding's safe state, or leads down, or stays, may go on when this computer dies.
+        One that is the binding's safe state, or leads down, may go on when this computer dies; in the air a
+        hover may not: no failsafe ends it beside another station.
         """
         profile, binding = self._vehicle.profile, self._vehicle.binding
-        bounded = {profile.land, profile.hold, profile.safe(binding.safe_state)}
+        bounded = {profile.land, profile.safe(binding.safe_state)}
+        if not profile.flies or self._state.landed is not False:
+            bounded.add(profile.hold)
         if mode in profile.autonomous - bounded:
             self._check_waived(what, f"PX4 flies {mode} by itself")
 
@@ -231,7 +228,7 @@ class Motion:
         if not self._vehicle.binding.waives(AUTONOMOUS):
             raise self._vehicle.error(
                 f"{what} refused: {why}, and would go on when this computer dies, as long as it hears any "
-                f"ground station. Use goTo, orbit and land, or accept it by 'waivers: "
+                f"ground station. Use goTo, orbit, hold and land, or accept it by 'waivers: "
                 f"{{{AUTONOMOUS}: REASON}}' in its binding"
             )
 
@@ -384,6 +381,8 @@ class Motion:
             return
         await self.failsafe.explains()
         chosen = ", which its failsafe chose" if self.failsafe.has_it else ""
+        if not chosen and (others := self.monitor.others()):
+            chosen = f", commanded by {others}"
         why = f"the vehicle went to {state.mode}{chosen}" if state.armed else "the motors are off"
         raise self._vehicle.error(f"{what} ended early: {why}{self._vehicle.reasons(start)}")
 

@@ -82,6 +82,10 @@ class WayBack:
         return FAR - self._moved
 
 
+#: Radians round a circle after which a vehicle is on it.
+ONTO = 0.3
+
+
 class Revolutions:
     """Counts the turns around a circle; `left` is the way still to go, in metres."""
 
@@ -102,7 +106,9 @@ class Revolutions:
             step = math.remainder(angle - self._last, math.tau)
             self._turned += step if self._circle.clockwise else -step
         self._last = angle
-        return (self._wanted - self._turned) * self._circle.radius
+        # Until it is under way round the circle it may still come closer to it.
+        onto = off if self._turned < min(ONTO, self._wanted) else 0.0
+        return onto + (self._wanted - self._turned) * self._circle.radius
 
 
 class Turning:

@@ -30,8 +30,8 @@ CHECKS_OLD = 3.0
 SETTLES = 2.0
 #: Seconds between two looks, and between two attempts to be in the mode to be armed in.
 LOOK, AGAIN = 0.5, 3.0
-#: Seconds after which a wait is worth a note.
-LONG = 2.0
+#: Seconds after which a wait is logged: beyond those that a change of mode takes.
+LONG = SETTLES + 1.0
 
 
 class Readiness:

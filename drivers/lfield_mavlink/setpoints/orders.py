@@ -21,7 +21,7 @@ from lfield_mavlink.contact.state import VehicleState
 from lfield_mavlink.geo import Place, Vector
 from lfield_mavlink.link.dialect import dialect
 from lfield_mavlink.modes import PX4, Profile
-from lfield_mavlink.setpoints.correction import SpeedCorrection
+from lfield_mavlink.setpoints.correction import PX4_ROVER_EXCESS, SpeedCorrection
 from lfield_mavlink.setpoints.trajectory import (
     LIFTS,
     ONLY_POSITION,
@@ -44,9 +44,6 @@ _AHEAD = 0.5
 #: How fast PX4's rover drives round to a heading, in m/s, and the seconds between its setpoints: without two
 #: in a second it would leave OFFBOARD.
 _ROUND, _FED = 1.5, 0.1
-#: m/s by which PX4's rover drives faster than it is commanded, as recorded (1.5 for 1.0), and the least share
-#: of a speed that it is commanded because of that.
-_EXCESS, _LEAST_SHARE = 0.45, 0.5
 #: m/s over ground where nothing else says a speed, for what hardly moves over ground.
 _SLOW = 1.0
 
@@ -199,7 +196,7 @@ class Px4:
         place, fast = _known(state.position), speed or _SLOW
         trajectory: Trajectory = Leg(place, state.velocity, goal, fast)
         if state.kind == "rover":
-            trajectory = Pursuit(goal, fast, rover_correction(fast))
+            trajectory = Pursuit(goal, fast, SpeedCorrection(excess=PX4_ROVER_EXCESS))
         return Order(self.guided, trajectory=trajectory, speed=fast, goal=goal)
 
     def turn(self, state: VehicleState, heading: float, speed: float | None) -> Order:
@@ -210,7 +207,7 @@ class Px4:
         place, yaw = _known(state.position), math.remainder(heading, math.tau)
         if state.kind == "rover":
             fast = min(speed or _ROUND, _ROUND)
-            fast = rover_correction(fast).commanded(fast)
+            fast = SpeedCorrection(excess=PX4_ROVER_EXCESS).commanded(fast)
             velocity = (fast * math.cos(heading), fast * math.sin(heading), 0.0)
             return Order(self.guided, target=lambda _: Target(ONLY_VELOCITY, velocity=velocity), period=_FED)
         return Order(self.guided, trajectory=Leg(place, state.velocity, place, speed or _SLOW, yaw=yaw))
@@ -263,11 +260,6 @@ def reposition(
     place, fast = _global(state, goal), -1.0 if speed is None else speed
     command = Command(dialect.MAV_CMD_DO_REPOSITION, (fast, _CHANGE_MODE, 0.0, yaw), place)
     return Order(frozenset({"AUTO.LOITER"}), command=command, goal=goal)
-
-
-def rover_correction(speed: float) -> SpeedCorrection:
-    """What PX4's rover is commanded at first of a speed in m/s."""
-    return SpeedCorrection(max(speed - _EXCESS, speed * _LEAST_SHARE) / speed)
 
 
 def _global(state: VehicleState, place: Vector | None) -> Place:

@@ -8,6 +8,7 @@ from collections.abc import Callable
 
 from lfield.driver import DeviceError
 from lfield_mavlink.contact.contact import Contact
+from lfield_mavlink.geo import Vector
 from lfield_mavlink.link.dialect import dialect
 from lfield_mavlink.services.parameters import Parameters
 from lfield_mavlink.setpoints.correction import SpeedCorrection
@@ -19,8 +20,9 @@ from lfield_mavlink.setpoints.trajectory import ONLY_POSITION, Target
 STAYS, BEGINS = 3, 0.1
 #: The parameter of PX4's own speed to a place, by the kind of vehicle, and m/s where it does not tell.
 CRUISE, CRUISES = {"copter": "MPC_XY_CRUISE", "rover": "RO_SPEED_LIM"}, 3.0
-#: The share of a speed that ArduRover is commanded at first: it shoots over it by up to 15 %.
-ROVER_FIRST = 0.85
+#: The share by which the speed of one velocity may differ from that of the one before it, so that what was
+#: driven still says something of it; and how straight it must drive along it.
+SAME, STRAIGHT = 0.1, 0.95
 
 
 class Speed:
@@ -38,6 +40,9 @@ class Speed:
         self._steady = False
         self._correction = SpeedCorrection()
         self._corrections: asyncio.Queue[float] = asyncio.Queue()
+        # The velocity that a rover was set last, when, and what is commanded of it.
+        self._velocity: tuple[float, float] = (0.0, 0.0)
+        self._velocity_at, self._of_velocity = -math.inf, SpeedCorrection()
         vehicle.on(dialect.MAVLINK_MSG_ID_HEARTBEAT, self._on_heartbeat)
         vehicle.on(dialect.MAVLINK_MSG_ID_LOCAL_POSITION_NED, self._on_position)
 
@@ -89,9 +94,21 @@ class Speed:
             assert place is not None, "the caller has looked"
             send(Target(ONLY_POSITION, place))
             await asyncio.sleep(BEGINS)
-        self._correction = SpeedCorrection(ROVER_FIRST if self._vehicle.profile.kind == "rover" else 1.0)
+        self._correction = SpeedCorrection.of(self._vehicle.profile)
         await self._change(speed)
         self._steady = True
+
+    def of_velocity(self, velocity: Vector) -> Vector:
+        """What a rover is commanded for a velocity: it would shoot over it."""
+        vehicle, speed, now = self._vehicle, math.hypot(*velocity[:2]), self._vehicle.clock.monotonic()
+        if vehicle.profile.kind != "rover" or speed == 0.0:
+            return velocity
+        differs = abs(speed - math.hypot(*self._velocity)) > SAME * speed
+        if differs or now - self._velocity_at > vehicle.binding.ttl:
+            self._of_velocity = SpeedCorrection.of(vehicle.profile)
+        self._velocity, self._velocity_at = velocity[:2], now
+        share = self._of_velocity.commanded(speed) / speed
+        return velocity[0] * share, velocity[1] * share, velocity[2]
 
     async def set(self, speed: float) -> None:
         """The speed over ground for this motion and those that follow. Raises DeviceError."""
@@ -104,6 +121,9 @@ class Speed:
     async def keep_wanted(self) -> None:
         """Have the autopilot keep the wanted speed in what it flies by itself. Raises DeviceError."""
         if self.wanted is not None:
+            # An ArduRover that shoots over its speed settles there; a mission's own speeds are not corrected.
+            profile = self._vehicle.profile
+            self._correction = SpeedCorrection.of(profile) if profile.px4 else SpeedCorrection()
             await self._change(self.wanted)
 
     @property
@@ -167,6 +187,8 @@ class Speed:
 
     def _on_position(self, _: object) -> None:
         speed, now = self.of_motion, self._vehicle.clock.monotonic()
+        if now - self._velocity_at <= self._vehicle.binding.ttl:
+            self._follows_velocity(now)
         if speed is None or not self._is_corrected:
             self._correction.pause()
             return
@@ -174,6 +196,15 @@ class Speed:
         changed = self._correction.sample(math.hypot(north, east), speed, now)
         if changed and self._corrections.empty():
             self._corrections.put_nowait(speed)
+
+    def _follows_velocity(self, now: float) -> None:
+        """Correct what is commanded of a velocity by what is driven along it."""
+        north, east, _down = self._state.velocity
+        speed, driven = math.hypot(*self._velocity), math.hypot(north, east)
+        if north * self._velocity[0] + east * self._velocity[1] > STRAIGHT * driven * speed:
+            self._of_velocity.sample(driven, speed, now)
+        else:
+            self._of_velocity.pause()
 
     def _on_heartbeat(self, _: object) -> None:
         """In another mode, or with its motors off, it forgets its speed."""

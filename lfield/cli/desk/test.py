@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import argparse
 import os
+import sys
 from pathlib import Path
 
 from lfield import exits
 from lfield.errors import PluginError
+from lfield.text.visible import unguarded
 
 #: What pytest ends with, as our statuses: passed, failed, interrupted, broken, misused, nothing found.
 _STATUSES = (
@@ -38,4 +40,6 @@ def run(args: argparse.Namespace) -> int:
     words = ["-p", "lfield.testing.plugin", "--tracks", os.path.abspath(args.tracks)]
     words += [flag for flag in ("-x", "-q", "-v", "-s") if getattr(args, flag[1:])]
     words += ["-k", args.k] if args.k else []
+    # It has colours of its own.
+    sys.stdout, sys.stderr = unguarded(sys.stdout), unguarded(sys.stderr)
     return _STATUSES[int(pytest.main([*words, *args.paths]))]

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import asyncio
+import sys
 from collections.abc import Mapping
 
-from rich.console import Console
 from rich.live import Live
 
+from lfield.cli.views.console import PlainConsole
 from lfield.cli.views.seen_view import table
 from lfield.clock import SystemClock
 from lfield.mission.mission import Mission
@@ -15,6 +16,7 @@ from lfield.operator.ask import observer
 from lfield.operator.sight.following.follower import Follower
 from lfield.operator.sight.picture.roll import roll_of
 from lfield.operator.sight.watched import Watched
+from lfield.text.visible import unguarded
 
 INTERVAL = 0.5
 
@@ -25,7 +27,9 @@ class LiveView:
     def __init__(self, mission: Mission, addresses: Mapping[str, str]) -> None:
         self._addresses = addresses
         self._live = Live(
-            console=Console(stderr=True, markup=False, emoji=False), auto_refresh=False, transient=True
+            console=PlainConsole(file=unguarded(sys.stderr), markup=False, emoji=False),
+            auto_refresh=False,
+            transient=True,
         )
         self._sight = Watched(roll_of(mission.name, mission.team, mission), SystemClock())
         self._tasks: list[asyncio.Task[None]] = []

@@ -2,22 +2,34 @@
 
 from __future__ import annotations
 
+import os
+import sys
 from collections.abc import Iterable, Iterator
 from typing import TYPE_CHECKING
 
 from lfield.operator.registry.taxonomy import Branch
+from lfield.text.visible import unguarded
 
 if TYPE_CHECKING:
     from rich.console import Console
     from rich.text import Text
     from rich.tree import Tree
 
+#: Columns of output that no terminal shows: more than any line has.
+UNFOLDED = 10_000
+
 
 def plain_console() -> Console:
-    """Standard output; what looks like markup is text."""
-    from rich.console import Console
+    """Standard output; what looks like markup is text, and control characters are shown, not sent.
 
-    return Console(markup=False, highlight=False, emoji=False)
+    Lines are folded and cut to the width of a terminal only: in a file or a pipe each row is one line.
+    """
+    from lfield.cli.views.console import PlainConsole
+
+    console = PlainConsole(file=unguarded(sys.stdout), markup=False, highlight=False, emoji=False)
+    if not console.is_terminal and "COLUMNS" not in os.environ:
+        console.width = UNFOLDED
+    return console
 
 
 def print_tree(branches: Iterable[Branch]) -> None:

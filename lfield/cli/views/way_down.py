@@ -65,5 +65,5 @@ def _table(descent: Descent, names: Mapping[Place, str]) -> Table:
         table.add_column(column, no_wrap=column == "NOW")
     for device in descent.devices:
         values = telemetry_in_words(device.telemetry or {})
-        table.add_row(names[device.place], device.name, device.words, values)
+        table.add_row(*map(in_one_line, (names[device.place], device.name, device.words, values)))
     return table

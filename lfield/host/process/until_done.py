@@ -16,6 +16,7 @@ from dataclasses import replace
 from lfield.host.host import Host
 from lfield.journal.pages import CopyPage
 from lfield.mobility.fates import Absent, Fate, Judge, known_fates
+from lfield.text.suggest import listed
 from lfield.wire.coordinators import Known
 from lfield.wire.observing import StatusRequest
 
@@ -26,6 +27,11 @@ ASK_EVERY, ANSWER_WITHIN, LINGER = 0.5, 1.0, 2.0
 ASKED_AT_ONCE = 8
 #: So long a loss that was told is believed without asking, in seconds: its coordinator may be started again.
 FRESH = 1.5
+NOT_FINAL = "{} {} ended here, and no majority of the members has that on disk yet: {} waits for it"
+UNHEARD = (
+    "{} ended here, and that is not final: no majority of the members was heard for {:g} s, and it may go on "
+    "elsewhere"
+)
 #: After so many seconds of a link a home has started its coordinators, if it does so at all.
 SETTLED = 5.0
 
@@ -61,6 +67,7 @@ async def until_done(host: Host, lost_after: float) -> list[Fate]:
             found.pop(agent, None)
         if not homes.keys() - found.keys():
             await _pass_on(host, found.values())
+            await _finality(host, lost_after)
             return [found[agent] for agent in sorted(homes)]
         await _news(host, ASK_EVERY)
         since = host.clock.monotonic() - FRESH
@@ -121,6 +128,25 @@ async def _pass_on(host: Host, found: Collection[Fate]) -> None:
     host.pass_on(found)
     end = host.clock.monotonic() + LINGER
     while host.mobility.unconfirmed(_in_reach(host)) and host.clock.monotonic() < end:
+        host.changed.clear()
+        await _news(host, ASK_EVERY)
+
+
+async def _finality(host: Host, lost_after: float) -> None:
+    """Stay until what ended here is final, so that nobody recovers it; or without a lease for `lost_after`.
+
+    A host without a lease keeps nobody from recovering it.
+    """
+    heard, told = host.clock.monotonic(), False
+    while names := host.core.leases.unsettled:
+        now = host.clock.monotonic()
+        heard = now if host.core.leases.left else heard
+        if now - heard >= lost_after:
+            host.note(UNHEARD.format(listed(names), lost_after))
+            return
+        if not told:
+            host.note(NOT_FINAL.format(listed(names), "has" if len(names) == 1 else "have", host.name))
+            told = True
         host.changed.clear()
         await _news(host, ASK_EVERY)
 

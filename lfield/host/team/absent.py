@@ -1,5 +1,9 @@
 """For how long a coordinator waits for a host that cannot be talked to: not at all for one that is lost.
 
+A coordinator under a time limit is sent over a link only when the other host has just been heard: what was
+sent into silence would be in doubt for as long as that lasts, whatever the limit. The host is asked for a
+sign of life first, and until that has come the coordinator can still go on where it is.
+
 A host that was linked and is away has until `unreachable_after` counts out, from the end of its link and not
 from the call. Who calls when half of that is over does not begin to wait: the host is known to be lost, until
 it is linked again. One that nobody has ever met may just be starting, so it gets all the time. Pure.
@@ -7,22 +11,43 @@ it is linked again. One that nobody has ever met may just be starting, so it get
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable, Sequence
+
 from lfield.clock import Clock
-from lfield.host.effects import Nearby
+from lfield.host.effects import Effect, Nearby
+from lfield.mobility.core import Mobility
+from lfield.mobility.effects import Send
 from lfield.mobility.hearsay import Hearsay
+from lfield.vm.agent import Member
+from lfield.wire.messages import QUESTION, Ping
 
 #: The part of `unreachable_after` after which a host that is away is lost to who would call it.
 LOST_AFTER = 0.5
 #: Seconds without anything from a linked host after which nobody is sent there who need not go.
 SILENT_FOR = 2.0
+#: A host that was heard this many seconds ago need not be asked for a sign of life.
+JUST_NOW = 0.02
+#: Seconds that whoever is over a time limit waits for a sign of life.
+GRACE = 0.3
 
 
 class Absent:
     """What one host knows of others that it cannot talk to; `unreachable_after` is in seconds."""
 
-    def __init__(self, nearby: Nearby, hearsay: Hearsay, clock: Clock, unreachable_after: float) -> None:
+    def __init__(
+        self,
+        nearby: Nearby,
+        hearsay: Hearsay,
+        clock: Clock,
+        unreachable_after: float,
+        mobility: Mobility,
+        effects: Callable[[Effect], None],
+    ) -> None:
         self._nearby, self._hearsay, self._clock = nearby, hearsay, clock
-        self._unreachable_after = unreachable_after
+        self._unreachable_after, self._mobility, self._out = unreachable_after, mobility, effects
+        #: When each host was asked for a sign of life the last time.
+        self._asked: dict[str, float] = {}
 
     def is_linked(self, host: str) -> bool:
         """Whether a host can be talked to: then it is neither away nor lost."""
@@ -31,8 +56,30 @@ class Absent:
     def is_silent(self, host: str) -> bool:
         """Whether nothing has come for a while over a link that is asked for signs of life every second."""
         heard = self._nearby.last_heard(host)
-        asked = self._hearsay.is_linked(host) and host in self._hearsay.near
-        return asked and heard is not None and self._clock.monotonic() - heard > SILENT_FOR
+        if heard is None or not self._hearsay.is_linked(host):
+            return False
+        now = self._clock.monotonic()
+        silent = host in self._hearsay.near and now - heard > SILENT_FOR
+        return silent or (self._is_unanswered(host, heard) and now >= self._asked[host] + GRACE)
+
+    def ask(self, host: str) -> None:
+        """Ask a linked host for a sign of life, unless it was heard just now or is being asked."""
+        heard, now = self._nearby.last_heard(host), self._clock.monotonic()
+        if heard is None or not self._hearsay.is_linked(host) or now - heard <= JUST_NOW:
+            return
+        if not self._is_unanswered(host, heard) and self._mobility.ask(host):
+            self._asked[host] = now
+            self._out(Send(host, Ping(QUESTION)))
+
+    def is_asked(self, host: str) -> bool:
+        """Whether a sign of life of a linked host is still waited for."""
+        heard = self._nearby.last_heard(host)
+        if heard is None or not self._hearsay.is_linked(host):
+            return False
+        return self._is_unanswered(host, heard) and not self.is_silent(host)
+
+    def _is_unanswered(self, host: str, heard: float) -> bool:
+        return heard <= self._asked.get(host, -math.inf)
 
     def away(self, host: str) -> float:
         """For how many seconds a host that was linked has not been; 0 for one that was never met, or is."""
@@ -56,3 +103,22 @@ class Absent:
         if since is None or self._hearsay.is_linked(host):
             return 0.0
         return max(0.0, self._clock.monotonic() - since)
+
+
+class SignsOfLife:
+    """What a machine asks of the hosts where agents of the team are: `lfield.vm.attached.Signs`."""
+
+    def __init__(self, absent: Absent, hosts: Sequence[str]) -> None:
+        self._absent, self._hosts = absent, hosts
+
+    def is_silent(self, member: Member) -> bool:
+        """Whether its host has not been heard, though there is a link."""
+        return self._absent.is_silent(self._hosts[member.host])
+
+    def ask(self, member: Member) -> None:
+        """Ask its host for a sign of life."""
+        self._absent.ask(self._hosts[member.host])
+
+    def is_asked(self, member: Member) -> bool:
+        """Whether that is still waited for."""
+        return self._absent.is_asked(self._hosts[member.host])

@@ -97,8 +97,10 @@ class Beginning:
 
     def on_status(self, host: str, status: Status) -> None:
         """A host that was asked says how its devices are."""
-        flying = [device.name for device in status.devices if device.telemetry.get(ON_GROUND) is False]
-        self.readiness.on_vehicles(host, flying)
+        told = {device.name: device.telemetry.get(ON_GROUND) for device in status.devices}
+        self.readiness.on_vehicles(
+            host, {name: _truth(told.get(name)) for name in self._mission.vehicles_of(host)}
+        )
         self.look()
 
     def kept(self, number: int) -> None:
@@ -125,6 +127,12 @@ class Beginning:
         if self._team.halted or self._waits() or (self._starts.is_waiting and self._is_held_back()):
             return
         if self._starts.due:
+            if (hosts := self._starts.unproven) and (agents := self._new()):
+                self._say(
+                    f"starting {listed(agents)} without a record of earlier starts on this host and without "
+                    f"an answer of {listed(hosts)}, which are left out: an earlier start that is alive there "
+                    "would run as well"
+                )
             self._begin(0)
 
     @property
@@ -152,17 +160,17 @@ class Beginning:
         if not (readiness.held or readiness.missing or self._starts.missing or self._is_paused(agents)):
             for host in readiness.to_ask(now):
                 if host == self._here:
-                    readiness.on_vehicles(host, self._off_ground())
+                    readiness.on_vehicles(host, self._own_vehicles())
                 else:
                     self._out(Send(host, StatusRequest()))
         if line := readiness.line(agents, now):
             self._say(line)
         return self._team.paused or not readiness.is_ready
 
-    def _off_ground(self) -> list[str]:
-        """The vehicles of this host that are off the ground."""
-        told = ((name, self._nearby.last(name, ON_GROUND)) for name in self._mission.vehicles_of(self._here))
-        return [name for name, landed in told if landed is not None and landed.value is False]
+    def _own_vehicles(self) -> dict[str, bool | None]:
+        """Whether each vehicle of this host is on the ground, None where that is not known."""
+        told = {name: self._nearby.last(name, ON_GROUND) for name in self._mission.vehicles_of(self._here)}
+        return {name: None if landed is None else _truth(landed.value) for name, landed in told.items()}
 
     def _is_paused(self, agents: Sequence[str]) -> bool:
         if self._team.paused and not self._told_pause:
@@ -258,3 +266,7 @@ class Beginning:
 
     def _say(self, text: str) -> None:
         self._out(Say(text))
+
+
+def _truth(value: object) -> bool | None:
+    return value if isinstance(value, bool) else None

@@ -11,7 +11,7 @@ from functools import partial
 
 from lfield.clock import Clock
 from lfield.errors import BlockError
-from lfield.host.effects import CHANGED, Effect, Keep, Say
+from lfield.host.effects import CHANGED, Complain, Effect, Keep, Say
 from lfield.host.sight.hops import Hops
 from lfield.host.team.absent import Absent
 from lfield.host.team.keeping import Keeping, Recovery, asleep, explanation
@@ -85,8 +85,7 @@ class Coordinators:
         self._packed: memoryview | None = None
         #: Where each coordinator was last sent.
         self._sent_to: dict[str, str] = {}
-        #: When mobility may have something to give up. A new deadline is later than those before, so one that
-        #: is set stays until it has come.
+        #: When mobility may have something to give up. New deadlines are later, so one that is set stays.
         self._due: float | None = None
 
     # --- time -----------------------------------------------------------------------------------------
@@ -203,7 +202,8 @@ class Coordinators:
 
     def greeting(self) -> list[Known]:
         """What others are told of all coordinators when they are greeted."""
-        return self.mobility.greeting(header for _, header, _ in (self._early or {}).values())
+        waiting = (header for _, header, _ in (self._early or {}).values())
+        return self.keeping.on_record(self.mobility.greeting(waiting), self._own.host)
 
     def recover(self, agent: str, generation: int) -> bool:
         """The holder of a coordinator is gone for good: it goes on here, as start `generation`, once that is
@@ -370,7 +370,7 @@ class Coordinators:
             case mobile.Finished():
                 self._drop(effect)
             case mobile.Note():
-                self.say(effect.reason)
+                self._out(Complain(effect.reason))
 
     def _resume(self, agent: Agent, kind: str, reason: str, *, recovered: bool = False) -> None:
         """Let a frozen coordinator go on with an exception, which names the resource that it has called."""

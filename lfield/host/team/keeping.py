@@ -9,6 +9,8 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Collection, Iterable, Mapping
 
+from msgspec import structs
+
 from lfield.bytecode.encoding import encode
 from lfield.clock import Clock
 from lfield.journal.pages import (
@@ -40,11 +42,13 @@ from lfield.mobility.effects import (
     SendTransfer,
     Supersede,
 )
-from lfield.wire.coordinators import Known
+from lfield.wire.coordinators import Known, Outcome
 
 #: The longest that a page waits for company, in seconds.
 SOON = 1.0
 
+#: How a coordinator terminates where it runs; that it is lost is only presumed.
+TERMINATED: tuple[Outcome, ...] = ("done", "died")
 
 #: Of so many starts of each coordinator it is remembered how they ended; every run makes one.
 ENDINGS = 8
@@ -91,6 +95,26 @@ class Keeping:
     def holds_back(self, agent: str) -> bool:
         """Whether something that a coordinator has to do waits for the disk."""
         return agent in self._behind
+
+    def on_record(self, rows: Iterable[Known], here: str) -> list[Known]:
+        """What other hosts are told: a start that terminated here, on `here`, runs until that is on disk.
+
+        After a crash it would go on here. If others knew of the termination, a majority could have it on
+        disk by then, and it would be final.
+        """
+        return [self._on_record(row, here) for row in rows]
+
+    def _on_record(self, row: Known, here: str) -> Known:
+        ended = row.state == "EXITED" and row.where == here and row.outcome in TERMINATED
+        if not ended or not self._waits_to_end(row.agent, row.generation):
+            return row
+        return structs.replace(row, state="RUN", where="", outcome="", detail="")
+
+    def _waits_to_end(self, agent: str, generation: int) -> bool:
+        """Whether the page that says how this start has ended waits for the disk."""
+        waiting = (effect.page for _, effect in self._behind.get(agent, ()) if isinstance(effect, Persist))
+        pages = (page for page in waiting if isinstance(page, CopyPage))
+        return any(page.generation == generation and page.state == "EXITED" for page in pages)
 
     def page(self, page: Page, now: float, *, soon: bool = False) -> int:
         """A page to keep; the number of its batch."""

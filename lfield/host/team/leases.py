@@ -15,8 +15,10 @@ from lfield.clock import Clock
 from lfield.errors import DeviceError
 from lfield.host.effects import Effect, MakeSafe, Say
 from lfield.host.team.coordinators import Coordinators
+from lfield.host.team.keeping import TERMINATED
 from lfield.journal.pages import Fence, Page
 from lfield.mission.mission import Mission
+from lfield.mobility.copies import Copy
 from lfield.mobility.departures import PERHAPS, RESTARTED
 from lfield.mobility.effects import Finished, Persist, Send
 from lfield.mobility.generations import next_recovery
@@ -318,17 +320,41 @@ class Leases:
 
     def _saved_end(self, agent: str) -> Saved | None:
         """The termination of a coordinator of which nothing else is here. It is final once a majority of the
-        members has it on disk, as they confirm to the host where it ended.
+        members has it on disk, as they confirm to the host where it ended. Until it is on disk there, the
+        coordinator counts as one that runs.
         """
         copy = self._team.mobility.termination(agent)
         if copy is None or not copy.outcome:
             return None
+        if not self._is_on_disk(copy):
+            return Saved(Place(copy.generation, copy.sequence, left=False), alive=True, interval=0.0)
         ended = Ended(agent, copy.generation, copy.outcome, copy.detail, copy.ended_on)
-        final = copy.ended_on != self._own.host or copy.outcome == "lost"
-        if not final:
-            waiting = self._team.mobility.unconfirmed_by(agent, copy.generation)
-            final = self.quorum.members.is_majority(self.quorum.members.names.difference(waiting))
+        final = copy.ended_on != self._own.host or copy.outcome == "lost" or self._is_final(copy)
         return Saved(Place(copy.generation, copy.sequence, left=False), False, 0.0, ended, final)
+
+    def _is_on_disk(self, ended: Copy) -> bool:
+        [told] = self._team.keeping.on_record([ended.known()], self._own.host)
+        return told.state == "EXITED"
+
+    def _is_final(self, ended: Copy) -> bool:
+        """Whether a majority of the members has on disk that a coordinator has terminated here."""
+        waiting = self._team.mobility.unconfirmed_by(ended.agent, ended.generation)
+        members = self.quorum.members
+        return self._is_on_disk(ended) and members.is_majority(members.names.difference(waiting))
+
+    @property
+    def unsettled(self) -> list[str]:
+        """The coordinators that have terminated here, not finally yet, and are not barred."""
+        found = (self._team.mobility.termination(agent) for agent in sorted(self.fenced))
+        return [
+            copy.agent
+            for copy in found
+            if copy is not None
+            and copy.ended_on == self._own.host
+            and copy.outcome in TERMINATED
+            and not self.barred(copy.agent, copy.generation)
+            and not self._is_final(copy)
+        ]
 
     def mint(self, agent: str, above: int) -> int:
         """A generation that no other host makes, greater than all that are known."""

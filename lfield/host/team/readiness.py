@@ -6,7 +6,9 @@ linked. A host with another bundle cannot be linked, so it counts as missing. Ho
 devices file (`start: {without: [...]}`) or by an operator's command (`lfield start --without HOST`).
 
 A vehicle that is off the ground when a start would be new is one that an earlier start has left there: the
-start is then held until an operator's command. The same holds after an emergency stop during the wait.
+start is then held until an operator's command. The same holds after an emergency stop during the wait. A
+vehicle that does not say where it is (its host has not opened it yet, say) is asked until it does, or until
+an operator leaves its host out. The vehicles of a host that is left out count as long as that host is linked.
 """
 
 from __future__ import annotations
@@ -53,15 +55,19 @@ class Readiness:
     ) -> None:
         self._needed, self._vehicles, self._is_linked = needed, vehicles, is_linked
         self._without = set(without)
+        #: Those of them that an operator has named.
+        self._without_by_command: set[str] = set()
         #: The hosts that cannot be linked.
         self.refusals: dict[str, Refusal] = {}
         #: When each host lost its link before the start.
         self._lost: dict[str, float] = {}
         #: Why the start needs an operator's command, '' while it does not.
         self.held = ""
-        #: When each host was asked for its vehicles, and those that have answered.
+        #: When each host was asked for its vehicles, the hosts whose vehicles are all on the ground, and by
+        #: host the vehicles that have not said whether they are.
         self._asked: dict[str, float] = {}
         self._on_ground: set[str] = set()
+        self._unknown: dict[str, list[str]] = {}
         #: What was logged last, when, and when it is repeated.
         self._logged: object = None
         self._logged_at = self._repeat_at = 0.0
@@ -84,15 +90,26 @@ class Readiness:
         """A host cannot be talked to any more."""
         self._lost[host] = now
         # All are asked again then: it may take long until this one is back.
+        self._ask_all_again()
+
+    def on_vehicles(self, host: str, on_ground: Mapping[str, bool | None]) -> None:
+        """A host says for each of its vehicles whether it is on the ground, None where that is not known."""
+        if host not in self._asked:
+            return
+        self._unknown.pop(host, None)
+        if off_ground := [vehicle for vehicle, landed in on_ground.items() if landed is False]:
+            self.hold(f"{' and '.join(off_ground)} of {host} {_is(off_ground)} off the ground: land first")
+        elif (unknown := [v for v, landed in on_ground.items() if landed is None]) and (
+            host not in self._without_by_command
+        ):
+            self._unknown[host] = unknown
+        else:
+            self._on_ground.add(host)
+
+    def _ask_all_again(self) -> None:
         self._asked.clear()
         self._on_ground.clear()
-
-    def on_vehicles(self, host: str, off_ground: Sequence[str]) -> None:
-        """A host says which of its vehicles are off the ground."""
-        if off_ground:
-            self.hold(f"{' and '.join(off_ground)} of {host} {_is(off_ground)} off the ground: land first")
-        elif host in self._asked:
-            self._on_ground.add(host)
+        self._unknown.clear()
 
     def hold(self, reason: str) -> None:
         """The start needs an operator's command from now on."""
@@ -101,9 +118,9 @@ class Readiness:
     def on_start_command(self, without: Collection[str]) -> None:
         """An operator wants the start, and does not want it to wait for some hosts."""
         self._without.update(without)
+        self._without_by_command.update(without)
         self.held = ""
-        self._asked.clear()
-        self._on_ground.clear()
+        self._ask_all_again()
 
     # --- questions ------------------------------------------------------------------------------------
 
@@ -114,8 +131,15 @@ class Readiness:
 
     @property
     def missing(self) -> list[str]:
-        """The hosts that the start waits for, in the order of the deployment."""
+        """The hosts that have to be linked first, in the order of the deployment."""
         return [host for host in self._needed if host not in self._without and not self._is_linked(host)]
+
+    @property
+    def waited_for(self) -> list[str]:
+        """The hosts that the start waits for: those that are missing, and those with vehicles of which it is
+        not known whether they are on the ground."""
+        missing = self.missing
+        return [*missing, *(host for host in self._unsure() if host in self._unknown and host not in missing)]
 
     def to_ask(self, now: float) -> list[str]:
         """The hosts that are asked now for their vehicles, once all that are needed are linked."""
@@ -127,8 +151,12 @@ class Readiness:
         return ASK_AGAIN if host in self._asked else 0.0
 
     def _unsure(self) -> list[str]:
-        """The hosts of which it is not known whether their vehicles are on the ground."""
-        return [h for h in self._vehicles if h not in self._without and h not in self._on_ground]
+        """The hosts of which it is not known whether their vehicles are on the ground.
+
+        A host that is left out counts while it is linked: it may not be there at all.
+        """
+        unsure = [host for host in self._vehicles if host not in self._on_ground]
+        return [host for host in unsure if host not in self._without or self._is_linked(host)]
 
     @property
     def is_ready(self) -> bool:
@@ -137,7 +165,7 @@ class Readiness:
 
     def status(self, agents: Sequence[str]) -> StartStatus:
         """What `lfield ps` shows of the wait of these coordinators."""
-        return StartStatus(list(agents), self.missing, self.without, clip(self.held))
+        return StartStatus(list(agents), self.waited_for, self.without, clip(self.held))
 
     @property
     def refused(self) -> list[RefusedHost]:
@@ -145,10 +173,14 @@ class Readiness:
         return [RefusedHost(h, clip(r.reason), r.bundle) for h, r in sorted(self.refusals.items())]
 
     def reasons(self, now: float) -> Mapping[str, str]:
-        """Why each host is missing that the start waits for."""
-        return {host: self._reason(host, now) for host in self.missing}
+        """Why the start waits for each of these hosts."""
+        return {host: self._reason(host, now) for host in self.waited_for}
 
     def _reason(self, host: str, now: float) -> str:
+        if host in self._unknown:
+            vehicles = self._unknown[host]
+            verb = "does" if len(vehicles) == 1 else "do"
+            return f"{' and '.join(vehicles)} {verb} not say whether {_it(vehicles)} on the ground"
         if host in self.refusals:
             return f"refused: {self.refusals[host].reason}"
         if host in self._lost:
@@ -168,7 +200,7 @@ class Readiness:
 
         It is due at once when what is waited for has changed, then again and again, ever more rarely.
         """
-        now_waited_for = (self.held, tuple(self.missing), tuple(sorted(self.refusals)))
+        now_waited_for = (self.held, tuple(self.waited_for), tuple(sorted(self.refusals)))
         is_news = now_waited_for != self._logged
         if is_news and self._logged is not None and now < self._logged_at + BETWEEN_LINES:
             self._repeat_at = self._logged_at + BETWEEN_LINES
@@ -197,3 +229,7 @@ class Readiness:
 
 def _is(names: Sequence[str]) -> str:
     return "is" if len(names) == 1 else "are"
+
+
+def _it(names: Sequence[str]) -> str:
+    return "it is" if len(names) == 1 else "they are"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 
 from lfield.bytecode.program import DeviceCall
@@ -116,6 +117,8 @@ class HostWorld:
         linked = self._absent.is_linked(host)
         if not linked:
             self._reach(host)
+        elif agent.alarm < math.inf or agent.overdue:
+            self._absent.ask(host)
         self._coordinators.depart(agent, resource, None if linked else self._absent)
         self._begun.leaves(agent)
 

@@ -9,7 +9,8 @@ from lfield.driver.binding import LEAST_AFTER, DeviceBinding, OptionValue, Witho
 from lfield.driver.contract import Manifest, Option
 from lfield.driver.frame import Placement
 from lfield.driver.known import Drivers, KnownDriver
-from lfield.driver.plugin import why_no_endpoint
+from lfield.driver.plugin import conflicts_of, why_no_endpoint
+from lfield.text.source import Span
 from lfield.text.visible import as_text
 from lfield.text.yaml_fields import Fields
 from lfield.text.yaml_source import Entry, Scalar
@@ -20,6 +21,8 @@ class DevicesReader:
 
     def __init__(self, drivers: Drivers, folder: Path, *, simulate: bool) -> None:
         self._drivers, self._folder, self._simulate = drivers, folder, simulate
+        # What was read, each with its fields and where its name stands.
+        self._read: list[tuple[DeviceBinding, Fields, Span]] = []
 
     def devices(
         self, agent: str, fields: Fields, needed: Mapping[str, str], placement: Placement | None
@@ -30,7 +33,16 @@ class DevicesReader:
             binding = self._device(agent, entry, device, needed, placement)
             if binding is not None:
                 bound[entry.key] = binding
+                self._read.append((binding, device, entry.key_span))
         return bound
+
+    def report_conflicts(self) -> None:
+        """Report the devices that cannot be beside the others. Each fake has a link of its own."""
+        for driver in self._drivers.by_driver.values() if not self._simulate else ():
+            mine = [binding for binding, _, _ in self._read if binding.driver == driver.name]
+            for binding, why in conflicts_of(driver, mine):
+                fields, span = next((f, span) for read, f, span in self._read if read is binding)
+                fields.report("Y113", f"{binding.name}: {why}", span)
 
     def _device(
         self,

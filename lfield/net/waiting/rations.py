@@ -5,7 +5,8 @@ RATION of the time that has passed. Over ALLOWANCE the member is over its budget
 
 - Messages of members within their budgets come first (`Standing.OVER`).
 - Once every PROBE_EVERY its link is not read for PROBE. A host that waits for answers before it sends on, as
-  with every hop, has sent only a few messages by then. A host that sends without waiting has sent a crowd.
+  with every hop, has sent only a few messages by then. A host that sends without waiting has sent a crowd;
+  of large transfers two of one coordinator, the second before an answer to the first, are one.
 - A member with a crowd is held to its ration (`Standing.HELD`), and after OVER_FOR its link is to be closed
   (`Standing.FLOOD`).
 
@@ -63,6 +64,8 @@ class _Account:
     #: Whether it was held since its last read began, and before the one that is being taken.
     was_held: bool = False
     is_after_hold: bool = False
+    #: The weight of what came since the last hold, as far as that belongs together.
+    after_hold: int = 0
     #: Since when it has been over its budget, and whether that is reported.
     over_since: float = math.inf
     is_reported: bool = False
@@ -109,10 +112,18 @@ class Rations:
         account = self._account(member, now)
         account.is_after_hold, account.was_held = account.was_held, False
 
-    def on_drained(self, member: str, weight: int, now: float) -> None:
-        """All of a read was taken. A small one after a hold shows that the member waits for answers."""
+    def on_drained(self, member: str, weight: int, now: float, *, is_amid: bool = False) -> None:
+        """All of a read was taken. A small one after a hold shows that the member waits for answers.
+
+        Where it ends amid a message, the next read belongs to it.
+        """
         account = self._account(member, now)
-        if account.is_after_hold and weight < CROWD:
+        if not account.is_after_hold:
+            return
+        account.after_hold += weight
+        if is_amid:
+            account.was_held = True
+        elif account.after_hold < CROWD:
             account.is_crowded, account.flooding_since = False, math.inf
 
     def on_closed(self, member: str, now: float) -> None:
@@ -134,7 +145,7 @@ class Rations:
 
     @staticmethod
     def _hold(account: _Account, until: float) -> Standing:
-        account.held_until, account.was_held = until, True
+        account.held_until, account.was_held, account.after_hold = until, True, 0
         return Standing.HELD
 
     def _account(self, member: str, now: float) -> _Account:

@@ -44,6 +44,10 @@ class MemberLink(Waiting, Protocol):
     def weight(self) -> int:
         """How much was taken since the link was made: see `FramedLink.weight`."""
 
+    @property
+    def is_amid(self) -> bool:
+        """Whether a message has begun to come and is not complete."""
+
     def hold(self, *, on: bool) -> None:
         """Stop reading, or read again once nothing waits."""
 
@@ -177,7 +181,7 @@ class Members:
         if not more:
             self._turns.leave(link)
             del self._reads[link]
-            self._rations.on_drained(read.member, weight, now)
+            self._rations.on_drained(read.member, weight, now, is_amid=link.is_amid)
         self._judge(link, read.member, standing, now)
 
     def _judge(self, link: MemberLink, member: str, standing: Standing, now: float) -> None:

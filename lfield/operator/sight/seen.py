@@ -46,7 +46,8 @@ class HostSeen:
     `stopped` is the reason of an emergency stop that stands there, '' for none. `reaches` are the hosts that
     it has links with, `away` those it misses, for how many seconds. Coordinators that are not started yet
     wait for the hosts in `waits_for`, or for an operator's command because of `start_held`; `refused` are the
-    hosts that it cannot be linked with, each with the reason. `lost` says by kind how much of what happened
+    hosts that it cannot be linked with, each with the reason. `bundle` are the first digits of the digest of
+    the bundle that it runs, '' for none. `lost` says by kind how much of what happened
     there this computer will never hear of, since it looks. `clock` is what its clock shows more than that of
     this computer (s), and `clock_within` how sure that is. `place` is what the devices file says.
     """
@@ -63,6 +64,7 @@ class HostSeen:
     waits_for: tuple[str, ...] = ()
     start_held: str = ""
     refused: Mapping[str, str] = field(default_factory=dict)
+    bundle: str = ""
     late: float | None = None
     reaches: tuple[str, ...] = ()
     away: Mapping[str, float] = field(default_factory=dict)

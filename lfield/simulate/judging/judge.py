@@ -7,10 +7,10 @@ I4  no portal call is started twice, and none is skipped without being told
 I5  at every moment some disk holds a state to go on from (`saved.py`)
 
 Of a coordinator that a majority may recover a copy may stand beside its successor, as long as it begins no
-call and commands no device once that one goes on (`calls.py`, `devices.py`). None is recovered that is known
-to have ended (`terminated.py`). Calls begun together do not outlive their block (`blocks.py`), what is
-reserved is its holder's alone (`reserved.py`). Beside them: no start has the number of an earlier one, nobody
-is called lost who lives, no device moves for nobody or has two owners, no host fails, all that may go on do.
+call and commands no device once that one goes on (`calls.py`, `devices.py`). None that is known
+to have ended is recovered or runs on (`terminated.py`). Calls begun together do not outlive their block
+(`blocks.py`), what is reserved is its holder's alone (`reserved.py`). Beside them: no start has an earlier
+one's number, nobody is called lost who lives, no device moves for nobody or has two owners, no host fails.
 """
 
 from __future__ import annotations
@@ -381,9 +381,8 @@ class Judge:
                 return not self._doubtful(start)
             return not any(life.process.loop.dead for life in self._starts[start].holders)
         name = self._homes[agent]
-        # A new start waits for all others, and a host that is gone is not started again.
-        waits = bool(self.fleet.gone) or (not self._remembers(name) and bool(self.fleet.left))
-        return name in self.fleet.lives and not waits
+        # A new start waits for all others but those that a person says are gone.
+        return name in self.fleet.lives and (self._remembers(name) or not self.fleet.left)
 
     def end(self) -> None:
         """Time is up: whoever has not got on is stuck."""

@@ -1,10 +1,11 @@
 """Whether a coordinator that has terminated is recovered, judged from disks, messages and recoveries.
 
-A termination (`init` has returned, or thrown) is final once a majority of the members has it on disk. A
-recovery after that is a breach, and so is one that was promised by a member that knew of the termination:
-from its own records, or from any message that it had received in the same life. An operator's recovery is
-judged by what the host that carries it out could know: by what it has received, and by what was final for a
-lease, since a host without a fresh lease carries none out.
+A termination (`init` has returned, or thrown) is final once a majority of the members has it on disk. After
+that a recovery is a breach, and so is a host on which that start still runs. A recovery is also one if it was
+promised by a member that knew of the termination: from its own records, or from any message that it had
+received in the same life. An operator's recovery is judged by what the host that carries it out could know:
+by what it has received, and by what was final for a lease, since a host without a fresh lease carries none
+out.
 """
 
 from __future__ import annotations
@@ -65,6 +66,17 @@ class Terminated:
             final = ranked[needed] if len(ranked) > needed else 0
             if final > self._final.get(agent, (0, 0.0))[0]:
                 self._final[agent] = final, fleet.now
+        self._look_for_runs(fleet)
+
+    def _look_for_runs(self, fleet: Fleet) -> None:
+        """A start whose termination is final runs nowhere: not on the host where it happened either."""
+        for name, life in fleet.lives.items():
+            for agent in life.core.machine.agents.values():
+                final, since = self._final.get(agent.id, (0, fleet.now))
+                runs = not agent.frozen and not agent.ended and agent.id in fleet.mission.fenced
+                if runs and agent.generation == final and since < fleet.now:
+                    found = f"{agent.id} runs as start {final}, which has terminated for good"
+                    self._breaches.add("terminated", (name,), found)
 
     def born(self, life: Life) -> None:
         """A host's process begins: see what it receives, and what it recovers."""

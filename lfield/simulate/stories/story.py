@@ -90,7 +90,7 @@ _PROGRAMS: dict[bytes, Program] = {}
 #: What a walker does that never ends.
 FOR_EVER = -1
 #: What may strike in any story.
-USUAL = [kind for kind in Weather.__dataclass_fields__ if kind not in ("swap", "split", *ORDERS)]
+USUAL = [kind for kind in Weather.__dataclass_fields__ if kind not in ("swap", "split", "disk_slow", *ORDERS)]
 #: Seconds between two faults of a kind at least and at most, and how likely each kind is in a story.
 BETWEEN, LIKELY = (0.7, 6.0), 0.35
 #: So many stories are of hosts that keep journals; the others forget, as many a trial does.
@@ -105,6 +105,9 @@ NOT_FENCED, LONGER = ("disk_new", "race"), 6.0
 DOUBTS, LIKELY_DOUBT = ("cut", "mute", "island", "stop", "kill"), 0.6
 #: Seconds between two of them, and of such a story, where there are many.
 OFTEN, DOUBTED = (2.0, 8.0), 8.0
+#: When walkers begin and what they do between two calls takes, about, in seconds; after so many leases
+#: without a sign a recovery has begun.
+BEGINS, BETWEEN_CALLS, RECOVERS_WITHIN = 0.2, 0.08, 3.0
 #: Seconds without a sign until a coordinator is recovered; how long a lease lasts.
 INTERVALS, LEASES = (1.0, 1.0, 1.0, 2.0, 4.0, 10.0), (1.0, 2.0, 2.0, 4.0)
 #: Seconds that a reservation of theirs lasts unheard, and that others wait for what is reserved.
@@ -125,7 +128,8 @@ class Story:
     `hosts` and `seconds` are what is left when a story is made smaller. With an `interval` a majority of the
     hosts may recover walkers, under leases of `lease`; then the last of them, `witnesses`, have no agents. A
     walker `stays` where it is so many of 32 times. What it reserves is its own for `reservation` unheard, and
-    others wait `reserved_wait` for it. Code takes `slowness` times its usual processor time.
+    others wait `reserved_wait` for it. Code takes `slowness` times its usual processor time. Faults that are
+    `aimed` strike beside those that are drawn.
     """
 
     seed: int
@@ -150,6 +154,7 @@ class Story:
     reservation: float = USUAL_RESERVATION
     reserved_wait: float = 0.0
     slowness: float = 1.0
+    aimed: tuple[Fault, ...] = ()
     keep: frozenset[int] | None = None
 
     @property
@@ -174,7 +179,8 @@ class Story:
     def numbered(self) -> list[tuple[int, Fault]]:
         """The faults that are kept, with their numbers."""
         cast = sorted(self._names(self.cast))
-        faults = Weather(**self.means).forecast(cast, random.Random(self.seed), self.weather)
+        drawn = Weather(**self.means).forecast(cast, random.Random(self.seed), self.weather)
+        faults = [*drawn, *self.aimed]
         return [(n, fault) for n, fault in enumerate(faults) if self.keep is None or n in self.keep]
 
     def _names(self, hosts: int) -> set[str]:
@@ -270,20 +276,37 @@ def parted(seed: int) -> Story:
 
 
 def ending(seed: int) -> Story:
-    """One of coordinators that terminate soon, while some hosts hear of that and others do not."""
+    """One of coordinators that terminate soon, while some hosts hear of that and others do not.
+
+    A link is cut a moment before the first of them is likely to terminate, for as long as a recovery takes;
+    at times with all others of that host for as long as it takes to promise one.
+    """
     story, dice = doubted(seed), random.Random(f"ending {seed}")
     hosts = dice.choice((3, 3, 4, 5))
-    kinds = ["cut", *(kind for kind in DOUBTS[1:] if dice.random() < LIKELY)]
+    more = (*DOUBTS[1:], "power", "disk_slow")
+    kinds = ["cut", *(kind for kind in more if dice.random() < LIKELY)]
+    calls, stay = dice.randint(1, 8), dice.choice((0.04, 1.0))
+    one, other = dice.sample([f"h{n}" for n in range(hosts)], 2)
+    at = max(0.1, BEGINS + calls * (stay + BETWEEN_CALLS) - dice.uniform(0.0, 1.0))
+    lasts = RECOVERS_WITHIN * story.lease + dice.uniform(1.0, 6.0)
+    aimed = [Fault(at, "cut", one, other, lasts, 1.0)]
+    if dice.random() < LIKELY:
+        brief = story.interval + story.lease * dice.uniform(1.0, 2.5)
+        others = (f"h{n}" for n in range(hosts))
+        aimed += [Fault(at, "cut", one, far, brief, 1.0) for far in others if far not in (one, other)]
     return replace(
         story,
         kind="ending",
         cast=hosts,
         hosts=hosts,
         witnesses=dice.choice((0, 1)),
-        calls=dice.randint(1, 8),
-        stay=dice.choice((0.04, 1.0)),
-        stays=dice.choice(STAYS_ON),
-        means={kind: dice.uniform(0.5, 4.0) for kind in kinds},
+        calls=calls,
+        stay=stay,
+        stays=STAYS,
+        means={kind: dice.uniform(0.5, 5.0) for kind in kinds},
+        aimed=tuple(aimed),
+        weather=max(story.weather, at + lasts),
+        seconds=max(story.seconds, at + lasts),
     )
 
 

@@ -190,14 +190,23 @@ class Together:
             self._clear(agent, thread)
 
     def _departs_in_time(self, agent: Agent, thread: int, state: int) -> bool:
-        """As `_departs`; but who is over its time limit goes to no host that it cannot reach at once."""
-        is_silent = self._scheduler.attached.is_silent
-        if is_silent is None or not self._limits.is_block_over(agent):
+        """As `_departs`; but who is over its time limit goes to no host that it cannot reach at once.
+
+        All are asked for a sign of life together, so silence delays it once, however many hosts are silent.
+        """
+        signs = self._scheduler.attached.signs
+        if signs is None or not self._limits.is_block_over(agent):
             return self._departs(agent, thread, state)
+        for ticket in self._visits.tickets(agent, thread):
+            if ticket.state in (BEGUN, TOLD) and not self._visits.is_here(ticket):
+                signs.ask(self._visits.resource(ticket))
         while away := self._visits.away(self._visits.tickets(agent, thread), state):
             target = self._visits.resource(away[0])
-            if not is_silent(target):
+            if not signs.is_silent(target):
                 self._departs(agent, thread, state)
+                if agent.frozen and signs.is_asked(target):
+                    self._limits.look_soon(agent)
+                    return True
                 if not (agent.frozen and self._scheduler.world.give_up(agent)):
                     return True
                 agent.frozen = False

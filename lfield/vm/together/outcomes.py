@@ -133,9 +133,8 @@ class Outcomes:
         begun = [ticket for ticket in self._visits.tickets(agent, thread) if ticket.generation]
         what = "; ".join(f"{self._visits.name(ticket)} {self._became(agent, ticket)}" for ticket in begun)
         if late:
-            what = (
-                f"{what}; " * bool(what) + f"the block ends {late:.1f} s late since it waited for its calls"
-            )
+            block = f"the block ends {late:.1f} s late since it waited for its calls and their hosts"
+            what = f"{what}; {block}" if what else block
         if not what:
             return
 

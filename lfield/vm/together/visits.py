@@ -201,6 +201,11 @@ class Visits:
             f"; {called} has begun, and was not heard of again" if begun else f" before {called} could begin"
         )
 
+    def is_asked(self, agent: Agent) -> bool:
+        """Whether a sign of life of the host that a frozen coordinator wants to is still waited for."""
+        signs, wanted = self._scheduler.attached.signs, self.wanted(agent)
+        return signs is not None and bool(wanted) and signs.is_asked(self.resource(wanted[0]))
+
     def keeps_waiting(self, agent: Agent) -> str:
         """Why a frozen coordinator cannot go on at once: it may be elsewhere, or is being written."""
         called = self.calling(agent)

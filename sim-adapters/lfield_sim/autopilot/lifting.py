@@ -76,7 +76,7 @@ def rise(pilot: Pilot) -> None:
         pilot.lifts_at = None
     elif vehicle.place[2] <= pilot.lift_goal + AT_HEIGHT:
         pilot.lifts_at = None
-        vehicle.goal = Reach((*vehicle.place[:2], pilot.lift_goal))
+        vehicle.goal = pilot.risen_to = Reach((*vehicle.place[:2], pilot.lift_goal))
     elif pilot.now >= pilot.lifts_at:
         vehicle.goal = Rise(pilot.lift_goal, vehicle.limits.takeoff)
 

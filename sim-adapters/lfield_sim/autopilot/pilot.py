@@ -41,6 +41,7 @@ class Pilot:
     setpoint_at          when the last setpoint came; stream_at the first of those without a pause
     takeoff_goal         the height in m that a takeoff of PX4 was given
     lifts_at, lift_goal  when the motors are up for a takeoff under way, and how far down it leads
+    risen_to             the goal at which a takeoff has ended, which ArduCopter does not tell
     entered_at, entered_down  when the mode was entered, and how far down; a return may climb, and keep that
     weak_at              since when a motor is too weak, minus infinity once that has been said
     sinks_at             when a landing goes down: ArduCopter's failsafes stand still for a while first
@@ -94,6 +95,7 @@ class Pilot:
     sinks_at: float = 0.0
     weak_at: float = math.inf
     lift_goal: float = 0.0
+    risen_to: Goal | None = None
     over_home_at: float | None = None
     entered_at: float = 0.0
     entered_down: float = 0.0

@@ -17,7 +17,7 @@ from lfield_sim.autopilot.watch.readiness import has_home, has_origin, has_posit
 from lfield_sim.mavlink.geo import Place
 from lfield_sim.mavlink.services.service import Service
 from lfield_sim.mavlink.telemetry.messages import MESSAGES, POSITIONS
-from lfield_sim.mavlink.telemetry.targets import goal_of
+from lfield_sim.mavlink.telemetry.targets import goal_of, tells_setpoint
 
 #: Nothing is streamed faster than this, in Hz.
 MAX_RATE = 100.0
@@ -64,8 +64,13 @@ class Sender:
                 return pilot.gps_lost and not has_position(pilot)
             case dialect.MAVLINK_MSG_ID_POSITION_TARGET_GLOBAL_INT:
                 return goal_of(pilot) is None
+            case dialect.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED:
+                return not tells_setpoint(pilot)
             case dialect.MAVLINK_MSG_ID_FENCE_STATUS:
                 return not pilot.value(pilot.flavour.fence.enable)
+            case dialect.MAVLINK_MSG_ID_WIND:
+                # A rover has it from a vane, and has none.
+                return not pilot.flies
             case dialect.MAVLINK_MSG_ID_WIND_COV if not pilot.value("EKF2_DRAG_CTRL"):
                 return True
         return kind in POSITIONS and not has_position(pilot)

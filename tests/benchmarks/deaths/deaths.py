@@ -11,6 +11,7 @@ time is a failure of its case, which is told and makes the run end with a status
     SIDE=1            so many fakes of each device, side by side: 1, 2, 3 or 6 (2)
     LOADS=quiet       one load only
     KINDS=PX4,Rover   only devices whose names begin so
+    WAY=move          every trial is a long move, or `setpoints`
 """
 
 from __future__ import annotations
@@ -40,8 +41,9 @@ SILENCE = {QUIET: 0.2, BUSY: 0.5}
 LOADS = os.environ.get("LOADS", f"{QUIET} {BUSY}").split()
 KINDS = tuple(os.environ.get("KINDS", "").split(","))
 TRIED = tuple(device for device in DEVICES if device.name.startswith(KINDS))
-#: Every so many trials are of the device's second way to move.
+#: Every so many trials are of the device's second way to move, unless one way is chosen.
 SECOND_WAY = 3
+WAY = os.environ.get("WAY", "")
 
 
 class Fleet:
@@ -72,7 +74,7 @@ class Fleet:
         for place, subjects in enumerate(self._subjects.values()):
             # Each device dies another death: guards that come back shall not wait for one another.
             deaths = [DEATHS[(number + first + place + n) % len(DEATHS)] for n in range(self._side)]
-            ways = subjects[0].device.ways
+            ways = [way for way in subjects[0].device.ways if WAY in ("", way)] or subjects[0].device.ways
             way = ways[-1] if number % SECOND_WAY == SECOND_WAY - 1 else ways[0]
             trials += [Trial(*pair, way, wave) for pair in zip(subjects, deaths, strict=True)]
         try:

@@ -311,7 +311,14 @@ def test_a_drive_that_restarts_is_set_up_again_and_stays_off(rig):
 
     async def mission(axis):
         await axis.execute("enable", [])
+        travel = asyncio.create_task(axis.execute("moveTo", [1000.0, 5.0]))
+        await asyncio.sleep(0.2)
         b.drive.restart()
+        with pytest.raises(DeviceError, match="has restarted"):
+            await travel
+        assert (b.values["enabled"], b.values["state"]) == (False, "not operational"), (
+            "read where it is caught"
+        )
         await b.until(lambda: any("set up again" in note for note in b.notes), 5.0)
         assert b.drive.get(0x1016, 1) == 127 << 16 | 1000
         assert b.values["enabled"] is False
@@ -333,7 +340,8 @@ def test_a_drive_that_vanishes_is_an_exception_and_comes_back_standing(rig):
             await travel
         assert error.value.kind == "DeviceTimeoutException"
         assert b.driver.clock.monotonic() - start < 3.0
-        await b.until(lambda: b.values["online"] is False)
+        assert (b.values["online"], b.values["enabled"]) == (False, False), "read where it is caught"
+        await b.until(lambda: b.values["state"] == "silent")
         b.drive.silent = False
         await b.until(lambda: b.values["online"] and b.drive.state != 0x0237)
         await axis.make_safe()

@@ -358,6 +358,7 @@ def test_a_lost_axis_is_told_and_comes_back_standing(rig):
         with pytest.raises(DeviceError, match="not heard for") as error:
             await axis.execute("moveTo", [10.0, 1.0])
         assert error.value.kind == "DeviceTimeoutException"
+        assert (b.values["online"], b.values["enabled"]) == (False, False), "read where it is caught"
         assert asyncio.get_running_loop().time() - start < 3.0
         await asyncio.sleep(5.0)
         assert b.axis.position > 0.5  # it has no watchdog, as its binding has accepted

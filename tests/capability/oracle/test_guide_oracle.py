@@ -111,6 +111,7 @@ def shown(ways: list[Way]) -> list[tuple[str, Any]]:
     return [(way.tree, pytest.approx(way.score, abs=1e-9)) for way in ways]
 
 
+@pytest.mark.few(100)
 @pytest.mark.parametrize("seed", range(WORLDS))
 def test_the_search_does_what_the_guide_says(seed: int, tmp_path: Path) -> None:
     made, registry, dice = drawn(seed, tmp_path)

@@ -73,6 +73,9 @@ REACHED: dict[tuple[str, int], tuple[str, str]] = {
     ("recover", 65): ("recover tom latin.dL", "latin.dL:1:4: error["),
     ("recover", 66): ("recover tom none.dL", "cannot read none."),
     ("recover", 69): ("recover tom", "no mission runs here"),
+    ("start", 65): ("start latin.dL", "latin.dL:1:4: error["),
+    ("start", 66): ("start none.dL", "cannot read none."),
+    ("start", 69): ("start", "no mission runs here"),
     ("doctor", 65): ("doctor --deploy latin.lfm", "not a sound bundle"),
     ("doctor", 66): ("doctor --deploy none.lfm", "cannot read none.lfm"),
     ("doctor", 69): ("doctor --deploy sky.dL --devices sky.yaml", "cannot open"),
@@ -101,6 +104,7 @@ ELSEWHERE: dict[tuple[str, int], str] = {
     ("estop", 3): "team",
     ("pause", 3): "team/test_pause_command.py",
     ("recover", 1): "team/test_recover_command.py",
+    ("start", 1): "stops/test_start_command.py",
     ("watch", 69): "watch/test_watch.py",
     ("setup", 1): "robot/test_setup_command.py",
     ("setup", 73): "robot/test_setup_command.py",
@@ -200,6 +204,7 @@ sys.exit(main())
 """
 
 
+@pytest.mark.few(3)
 @pytest.mark.parametrize(
     ("module", "command"),
     [

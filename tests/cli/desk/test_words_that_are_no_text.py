@@ -120,6 +120,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
         yield path
 
 
+@pytest.mark.few(40)
 @pytest.mark.parametrize(("name", "option"), list(cases()))
 def test_a_word_that_is_no_text_is_no_bug(folder: Path, name: str, option: str) -> None:
     for words in lines(name, option):

@@ -29,8 +29,7 @@ resource Post { init(string[] arg) { } portal greet() { write("greeted\\n"); } }
 coordinator Guest { init(string[] arg) { findPost("here").greet(); sleep(1000.0); } }
 """
 DEPLOYMENT = "//Copter:lead@alpha\n//Post:here@alpha\n//Guest:tom@charlie\n//@bravo\n"
-#: Whose messages may come in a crowd, and whose are few and large.
-KINDS = ("pings", "records", "gossip", "rooms", "handshakes")
+KINDS = ("pings", "records", "gossip", "rooms", "transfers", "handshakes")
 
 
 class Flood:
@@ -59,7 +58,8 @@ def flooding(lfield, port: int, kind: str) -> Iterator[Flood]:
             popen.kill()
 
 
-@pytest.mark.few(1)
+# tests/net/test_members.py has the same on virtual time.
+@pytest.mark.few(0)
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_member_that_floods_keeps_nobody_out_and_is_named(lfield, alone, kind):
     deployment = lfield.mission(PROGRAM, DEPLOYMENT)

@@ -46,8 +46,10 @@ def test_what_is_not_set_up_is_told_written_and_put_back(lfield, here, setup, en
     doctor = here("doctor", "--deploy", deployment)
     assert doctor.status == 69
     (number,) = [number for number, line in enumerate(doctor.out) if "lead.fc" in line]
-    assert doctor.out[number] == f"PROBLEM lead.fc: it is not set up for its binding: {STOCK}, and 4 more"
     *details, cure = doctor.out[number + 1 :]
+    problem = f"PROBLEM lead.fc: it is not set up for its binding: {STOCK}, and {len(details) - 1} more"
+    assert doctor.out[number] == problem
+    assert any(line.startswith("        MAV_GCS_SYSID is 255 and must be 128: ") for line in details)
     assert f"        {STOCK}: what it does when this computer is gone" in details
     assert "        WPNAV_SPEED is 1000 and must be 300: the speed limit of the binding" in details
     assert cure == f"        -> {command} (it asks first)"

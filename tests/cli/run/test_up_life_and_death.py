@@ -191,8 +191,8 @@ def descriptors(pid):
 
 def test_ctrl_c_to_one_host(lfield):
     deployment = lfield.mission(TRAVELLER, TWO_HOSTS.format(stay="1000"))
-    hosts = lfield.hosts(deployment, ["alpha"], "--until-done")
-    hosts["alpha"].wait_for("near lets go")
+    hosts = lfield.hosts(deployment, ["alpha", "bravo"], "--until-done")
+    hosts["bravo"].wait_for("far receives")
     hosts["alpha"].signal(signal.SIGINT)
     assert hosts["alpha"].wait() == 130
 

@@ -55,3 +55,20 @@ def test_a_program_cannot_control_the_terminal(lfield, options):
     piped = lfield(*words)
     assert lfield.status(piped) == 0, piped.said
     assert "\x1b[31mred\x9b2J\u202e" in "\n".join(piped.out)
+
+
+def test_a_bundle_of_another_person_cannot_control_the_terminal(lfield):
+    """The endpoint of a device is any path; what a command says of it is shown."""
+    program = (
+        "resource Arm { Mavlink fc; init(string[] arg) { } }\ncoordinator Boss { init(string[] arg) { } }"
+    )
+    lfield.mission(program, "//Arm:arm@alpha\n//Boss:boss@alpha\n")
+    (lfield.folder / "mission.devices.yaml").write_text(
+        'agents: {arm: {devices: {fc: {driver: mavlink, endpoint: "serial:/dev/tty\\e[31mX:57600", '
+        "system: 1, kind: copter, safe_state: land, limits: {speed: 5.0}, waivers: [device_watchdog]}}}}"
+    )
+    built = lfield("build", "mission.dL")
+    assert lfield.status(built) == 0, built.said
+    out, status = on_a_terminal(lfield, "inspect", "mission.lfm")
+    assert (status, b"\x1b" in out) == (0, False)
+    assert r"serial:/dev/tty\u{1b}[31mX:57600" in out.decode()

@@ -52,7 +52,7 @@ def flies(flown) -> bool:
     return flown.witness.armed and flown.witness.mode == "GUIDED" and flown.witness.height > 2.0
 
 
-@pytest.mark.few(2)
+@pytest.mark.few(1)
 @pytest.mark.parametrize("spare", [0, 5])
 def test_callers_that_cannot_be_let_in_end_no_flight(starved, spare):
     flown = starved(spare)
@@ -76,7 +76,7 @@ def test_an_emergency_stop_gets_through_a_crowd_of_strangers(starved):
     assert "closed a link from 127.0.0.1: this computer lets this host open no more links" in flown.host.err
 
 
-@pytest.mark.few(1)
+@pytest.mark.few(0)
 def test_a_guard_that_cannot_be_started_again_is_tried_again_and_lands(starved):
     flown = starved(3)
     died = flown.guard
@@ -104,6 +104,7 @@ def test_a_guard_that_is_never_started_again_is_named_and_its_vehicle_lands_by_i
     flown.landed()
 
 
+@pytest.mark.few(0)
 def test_a_guard_for_which_there_is_no_process_left_is_tried_again_and_lands(flight, bounded):
     flown, group = flight(), bounded("pids")
     died = flown.guard

@@ -29,9 +29,10 @@ TEAM = "//Caller:tom@alpha\n//Echo:echo@bravo\n"
 def maps(lfield, here):
     """Where the hosts of a signed bundle are."""
     lfield.mission(PROGRAM, TEAM)
+    maps = lfield.maps(["alpha", "bravo"])
     assert here("build", "mission.dL").status == 0
     assert here("sign", "mission.lfm").status == 0
-    return lfield.maps(["alpha", "bravo"])
+    return maps
 
 
 def test_a_start_waits_until_a_person_wants_it_without_the_host_that_is_off(lfield, here, maps) -> None:
@@ -65,7 +66,7 @@ def test_a_start_waits_until_a_person_wants_it_without_the_host_that_is_off(lfie
 def test_a_host_with_an_old_bundle_is_named_by_the_digests_that_build_sign_and_inspect_print(
     lfield, here, maps
 ) -> None:
-    (old,) = (re.search(r"bundle (\w+)", line)[1] for line in here("inspect", "mission.lfm").out[:1])
+    (old,) = (re.search(r"bundle +(\w+)", line)[1] for line in here("inspect", "mission.lfm").out[:1])
     bravo = lfield.start("up", "mission.lfm", *maps, "--host", "bravo", "--first-start")
     bravo.wait_for("bravo is up")
     lfield.mission(PROGRAM.replace("here", "there"), TEAM)

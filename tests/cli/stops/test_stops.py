@@ -36,6 +36,7 @@ def test_a_guard_that_hangs_when_its_host_is_stopped_is_replaced_and_lands(fligh
     flown.is_down()
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("how", ["SIGTERM", "until done"])
 def test_a_vehicle_that_fell_silent_is_named_with_what_was_last_known_and_the_status_says_it(flight, how):
     done = how == "until done"
@@ -115,7 +116,7 @@ def test_a_killed_host_leaves_its_guard_until_the_vehicle_is_down(lfield, flight
     flown.host.wait_for("lead.fc: is in its safe state: ")
 
 
-@pytest.mark.few(2)
+@pytest.mark.few(1)
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
 @pytest.mark.parametrize("flavour", ["ardupilot", "px4"])
 def test_no_failsafe_takes_over_the_landing_of_a_host_that_is_gone_or_hangs(flight, flavour, number):

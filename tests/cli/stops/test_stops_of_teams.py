@@ -115,11 +115,12 @@ class Terminal:
         os.close(master)
 
 
+@pytest.mark.few(0)
 def test_ctrl_c_in_a_hurry_is_one_word_and_lands_the_team_before_it_ends(team):
     _lands_before_it_ends(team, signal.SIGINT)
 
 
-@pytest.mark.few(1)
+@pytest.mark.few(0)
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
 def test_another_signal_lands_the_team_too(team, number):
     _lands_before_it_ends(team, number)
@@ -179,6 +180,7 @@ def test_ctrl_c_on_a_terminal_is_for_the_team_as_a_whole(team):
     terminal.close()
 
 
+@pytest.mark.few(0)
 def test_a_host_on_a_terminal_that_is_closed_lands(flight):
     terminal = Terminal()
     flown = flight(land=SLOW, **terminal.options)

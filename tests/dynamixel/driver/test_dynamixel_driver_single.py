@@ -152,6 +152,19 @@ def test_a_limp_servo_is_not_moved():
     refused(Bench(), "moveTo", 0.1, match=r"torque of servo 1 is off; call torque\(true\)", prepare=nothing)
 
 
+def test_a_servo_that_was_let_go_reads_so_where_the_refusal_is_caught():
+    bench = Bench()
+
+    async def mission(servo):
+        await servo.execute("torque", [True])
+        await servo.make_safe("torque_off")
+        with pytest.raises(DeviceError, match="torque of servo 1 is off"):
+            await servo.execute("setPosition", [0.1])
+        assert bench.values["torqueOn"] is False
+
+    bench.run(mission)
+
+
 def test_a_model_without_current_says_so():
     async def nothing(servo):
         pass

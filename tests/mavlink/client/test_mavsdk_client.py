@@ -120,6 +120,7 @@ def fly(story, flavour, *options):
     asyncio.run(main())
 
 
+@pytest.mark.few(1)
 @BOTH
 def test_a_flight_up_over_and_down(flavour):
     async def story(c):
@@ -149,6 +150,7 @@ def test_a_flight_up_over_and_down(flavour):
     fly(story, flavour, "--param", "RTL_ALT=600" if flavour == "ardupilot" else "RTL_RETURN_ALT=6")
 
 
+@pytest.mark.few(1)
 @BOTH
 def test_velocities_and_a_landing(flavour):
     async def story(c):

@@ -66,7 +66,7 @@ def test_the_first_velocity_is_in_time_however_bad_the_link_is(flown, flavour, k
     assert sum(seconds > 0.35 for seconds in took) < 0.05 * CALLS
 
 
-@pytest.mark.few(18)
+@pytest.mark.few(6)
 @pytest.mark.parametrize("pause", [0.1, 0.2])
 @pytest.mark.parametrize(("flavour", "kind"), VEHICLES)
 @pytest.mark.parametrize("seed", range(1, SEEDS + 1))
@@ -88,7 +88,7 @@ def test_velocities_and_holds_by_turns_are_in_time_on_a_bad_link(flown, flavour,
     flown(work, flavour=flavour, kind=kind, systems=(seed,), limits={"speed": 3.0})
 
 
-@pytest.mark.few(8)
+@pytest.mark.few(3)
 @pytest.mark.parametrize("seed", range(1, SEEDS + 1))
 @pytest.mark.parametrize("kind", ["copter", "rover"])
 def test_a_late_acknowledgement_of_an_entry_is_none_of_a_hold(flown, kind, seed):

@@ -144,6 +144,7 @@ def test_the_speed_limit_is_set_in_the_autopilot(bench):
     assert 1.8 < fastest <= 2.05
 
 
+@pytest.mark.few(3)
 @pytest.mark.parametrize("seed", range(8))
 def test_lost_packets_cost_time_but_not_the_flight(bench, seed):
     # The dice of a fake are those of its system id.

@@ -136,6 +136,7 @@ SLOW = {
 }
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("name", SLOW)
 def test_a_slow_rover_is_given_the_time_that_its_way_round_takes(bench, name):
     """It drives away from a goal behind it for as many metres as a fast one, and for longer."""
@@ -307,6 +308,7 @@ def test_a_goal_beyond_px4s_fence_is_refused_before_it_sets_out(bench):
 # -- a landing ----------------------------------------------------------------------------------------
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("flavour", ["ardupilot", "px4"])
 def test_after_a_landing_it_can_be_armed_and_fly_again(bench, flavour):
     b = bench(flavour=flavour)

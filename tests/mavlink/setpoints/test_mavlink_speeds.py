@@ -30,7 +30,7 @@ async def flown(b, fc, kind):
     return speeds
 
 
-@pytest.mark.few(6)
+@pytest.mark.few(3)
 @pytest.mark.parametrize("limit", [1.0, 2.0, 3.0, 5.0])
 @pytest.mark.parametrize(("flavour", "kind"), VEHICLES)
 def test_a_limit_is_kept_in_still_air(bench, flavour, kind, limit):
@@ -42,7 +42,7 @@ def test_a_limit_is_kept_in_still_air(bench, flavour, kind, limit):
     assert [note for note in b.notes if "beyond its limit" in note] == []
 
 
-@pytest.mark.few(4)
+@pytest.mark.few(2)
 @pytest.mark.parametrize("source", [0.0, 1.57, 3.14])
 @pytest.mark.parametrize(("flavour", "kind"), VEHICLES)
 def test_a_limit_is_kept_in_wind(bench, flavour, kind, source):
@@ -71,3 +71,69 @@ def test_a_rover_that_would_shoot_over_its_speed_approaches_it_from_below(bench,
         return fastest
 
     assert b.run(story) <= speed * STILL_AIR
+
+
+async def steady(b, task, seconds=8.0):
+    """The greatest mean speed of a second, from so many seconds on, until it is done."""
+    start, speeds = b.autopilot.now, []
+    while not task.done():
+        await asyncio.sleep(0.1)
+        if b.autopilot.now - start > seconds:
+            speeds.append(math.hypot(*b.autopilot.vehicle.velocity[:2]))
+    await task
+    return max(sum(speeds[n : n + 10]) / 10.0 for n in range(len(speeds) - 9))
+
+
+@pytest.mark.few(4)
+@pytest.mark.parametrize("limit", [0.5, 1.0, 3.0])
+@pytest.mark.parametrize("flavour", ["ardupilot", "px4"])
+def test_a_rover_drives_a_velocity_no_faster_than_it_is(bench, flavour, limit):
+    b = bench(flavour=flavour, kind="rover", limits={"speed": limit})
+
+    async def story(fc):
+        async def drive():
+            for _ in range(80):
+                await fc.execute("setVelocity", [limit * 0.6, limit * 0.8, 0.0])
+                await asyncio.sleep(0.2)
+
+        await fc.execute("arm", [])
+        return await steady(b, asyncio.create_task(drive()))
+
+    assert 0.9 * limit < b.run(story) <= STILL_AIR * limit
+    assert [note for note in b.notes if "beyond its limit" in note] == []
+
+
+@pytest.mark.parametrize("way", ["mission", "return", "goTo", "setSpeed"])
+def test_px4s_rover_keeps_a_low_speed_whatever_moves_it(bench, way):
+    b, limit = bench(flavour="px4", kind="rover", limits={"speed": 1.0 if way != "goTo" else 0.5}), 1.0
+
+    async def story(fc):
+        nonlocal limit
+        await fc.execute("arm", [])
+        if way == "mission":
+            latitude, longitude, _ = b.values["globalPosition"]
+            await fc.execute("uploadMission", [[latitude + 2e-3, longitude, 0.0]])
+            await fc.execute("startMission", [])
+            return await steady(b, asyncio.create_task(asyncio.sleep(20.0)))
+        flight = asyncio.create_task(fc.execute("goTo", [25.0, 0.0, 0.0]))
+        if way == "return":
+            await flight
+            return await steady(b, asyncio.create_task(fc.execute("returnHome", [])))
+        limit = 0.5 if way == "goTo" else 0.8
+        if way == "setSpeed":
+            await asyncio.sleep(5.0)
+            await fc.execute("setSpeed", [limit])
+        return await steady(b, flight)
+
+    assert b.run(story) <= STILL_AIR * limit
+
+
+def test_a_slow_orbit_does_not_give_up_on_its_way_to_the_circle(bench):
+    b = bench(flavour="px4", limits={"speed": 0.5})
+
+    async def story(fc):
+        await fc.execute("arm", [])
+        await fc.execute("takeoff", [8.0])
+        await fc.execute("orbit", [0.0, 0.0, -8.0, 12.0, 0.5, 0.1])
+
+    b.run(story)

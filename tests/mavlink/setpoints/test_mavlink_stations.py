@@ -206,6 +206,7 @@ def test_stations_differ_and_none_is_a_vehicle_or_a_ground_station_of_others():
     [
         ([bound(1), bound(128)], "its station has the system id 128, which is that of a128.fc"),
         ([bound(3, 3)], "its station has the system id 3, which is that of itself"),
+        ([bound(128), bound(1)], "its station has the system id 1, which is that of a1.fc"),
         ([bound(1, 200), bound(2, 200)], "system id 200, and so has that of a1.fc"),
         ([bound(1), bound(2, 128)], "system id 128, and so has that of a1.fc"),
     ],

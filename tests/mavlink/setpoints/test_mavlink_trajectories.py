@@ -150,6 +150,7 @@ def test_another_speed_than_was_commanded_is_no_inaccuracy():
     drive(correction, lambda _: 0.0)
     assert correction.share == 1.0
     correction.share = 0.5
+    assert correction.commanded(3.0) == 1.5
     correction.reset()
     assert correction.share == 1.0
 
@@ -159,4 +160,19 @@ def test_what_speeds_up_is_not_commanded_more():
     for n in range(40):
         correction.sample(0.1 * n, 3.0, 0.1 * n)
         if n < 29:
-            assert correction.share == 0.85
+            assert correction.commanded(3.0) == pytest.approx(0.85 * 3.0)
+
+
+@pytest.mark.parametrize("speed", [0.5, 1.0, 3.0])
+def test_a_known_excess_is_left_out_from_the_beginning_and_corrected_down_to_a_low_speed(speed):
+    correction = SpeedCorrection(excess=0.45)
+    flown, told = drive(correction, lambda commanded: commanded + 0.45, speed)
+    assert flown == pytest.approx(speed, rel=0.02)
+    assert max(told) + 0.45 <= 1.15 * speed
+    # Commanded another speed it is right at once.
+    assert correction.commanded(2.0) + 0.45 <= 2.0 * 1.05
+
+
+def test_what_drives_a_share_faster_and_no_sum_is_corrected_too():
+    flown, _told = drive(SpeedCorrection(excess=0.45), lambda commanded: 1.5 * commanded, 0.5)
+    assert flown == pytest.approx(0.5, rel=0.05)

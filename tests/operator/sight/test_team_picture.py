@@ -44,7 +44,7 @@ from lfield.wire.events import (
     Unlinked,
     Withdrawn,
 )
-from lfield.wire.observing import EmergencyStopped
+from lfield.wire.observing import BundleStatus, EmergencyStopped, RefusedHost, StartStatus
 
 
 class Story:
@@ -197,6 +197,21 @@ def test_a_snapshot_says_where_coordinators_are() -> None:
     story.tell("beta", snapshot=type(status)(**{**_fields(status), "coordinators": copies}))
     boss = story.seen.agents["boss"]
     assert (boss.host, boss.doubt, boss.hops, boss.generation) == ("beta", "", 5, 2)
+
+
+def test_a_host_names_its_bundle_what_its_start_waits_for_and_whom_it_refuses() -> None:
+    story = Story()
+    status = snapshot("alpha")
+    more = {
+        "bundle": BundleStatus(bytes.fromhex("5cde09b1f2a37c4400"), "anna", 0.0),
+        "start": StartStatus(["boss"], ["beta"], [], ""),
+        "refused": [RefusedHost("beta", "another bundle", b"\x77")],
+    }
+    story.tell("alpha", snapshot=type(status)(**{**_fields(status), **more}))
+    host = story.seen.hosts["alpha"]
+    assert host.bundle == "5cde09b1f2a37c44"
+    assert host.waits_for == ("beta",)
+    assert host.refused == {"beta": "another bundle"}
 
 
 def _fields(status: object) -> dict[str, object]:

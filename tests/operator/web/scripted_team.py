@@ -56,6 +56,8 @@ class Script:
     #: Hosts that hang: they are linked, and answer nothing.
     hung: set[str] = field(default_factory=set)
     barred: dict[Order, str] = field(default_factory=dict)
+    #: Hosts that no link can be made with, each with the reason.
+    refused: dict[str, str] = field(default_factory=dict)
     stopped: float | None = None
     paused: bool = False
     pressed: list[str] = field(default_factory=list)
@@ -94,6 +96,8 @@ class Script:
                 self.held |= {self.host_of(number) for number in range(self.count)} - self.dead
             case ["low", agent]:
                 self.low.add(agent)
+            case ["refuse", host, *reason]:
+                self.refused[host] = " ".join(reason)
             case ["say", host, *text]:
                 self.say(host, " ".join(text))
             case ["count", host, many]:
@@ -218,6 +222,9 @@ class Script:
                 seconds,
                 paused=self.paused,
                 stopped="stop" if name in self.held else "",
+                waits_for=tuple(self.refused),
+                refused=self.refused,
+                bundle="5cde09b1f2a37c44",
                 reaches=tuple(other for other in live if other != name)[:3] if name in live else (),
             )
             for name in names

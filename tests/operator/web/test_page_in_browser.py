@@ -103,6 +103,18 @@ def test_lifting_and_resuming_ask_once_more(browser, page_of):
     browser.wait(lambda: not browser.all("halt"))
 
 
+def test_a_start_that_waits_names_the_hosts_the_reasons_and_the_bundles(browser, page_of):
+    page = page_of()
+    browser.open(page.link)
+    browser.says("host-alpha", "bundle 5cde09b1f2a37c44")
+    reason = "alpha runs bundle 5cde09b1f2a37c44 and carol runs bundle 77aa0c31d5e8b902"
+    page.do(f"refuse carol {reason}")
+    browser.says("host-alpha", "start waits for carol")
+    browser.says("host-alpha", f"no link with carol: {reason}")
+    assert browser.errors == []
+
+
+@pytest.mark.few(0)
 def test_a_host_that_dies_stays_as_it_was_last_known(browser, page_of):
     page = page_of()
     browser.open(page.link)
@@ -150,6 +162,7 @@ def test_a_stop_that_reaches_nobody_says_so_as_long_as_it_is_true(browser, page_
     browser.wait(lambda: not browser.all("halt"))
 
 
+@pytest.mark.few(0)
 def test_what_was_known_of_a_dead_host_is_grey_after_a_lift(browser, page_of):
     page = page_of()
     browser.open(page.link)
@@ -172,6 +185,7 @@ def test_what_was_known_of_a_dead_host_is_grey_after_a_lift(browser, page_of):
     browser.says("halt", "No stop stands where somebody is heard")
 
 
+@pytest.mark.few(0)
 def test_a_press_shows_at_once_on_a_server_that_does_not_answer(browser, page_of):
     page = page_of()
     browser.open(page.link)
@@ -207,6 +221,7 @@ def test_a_stop_that_the_page_has_given_up_is_done_late_and_says_so(browser, pag
     browser.wait(lambda: not browser.all("failed"))
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("order", ["lift", "resume"])
 def test_what_releases_is_not_done_once_the_page_has_given_it_up(browser, page_of, order):
     page = page_of()
@@ -230,6 +245,7 @@ def test_what_releases_is_not_done_once_the_page_has_given_it_up(browser, page_o
     browser.wait(lambda: not browser.all("failed"))
 
 
+@pytest.mark.few(0)
 def test_stopped_and_paused_at_once_is_told_as_both(browser, page_of):
     page = page_of()
     browser.open(page.link)
@@ -252,6 +268,7 @@ return counts;
 """
 
 
+@pytest.mark.few(0)
 def test_whoever_has_a_colour_has_it_in_all_plots(browser, page_of):
     page = page_of()
     page.do("low lead")
@@ -345,6 +362,7 @@ def test_a_question_that_is_none_is_answered_with_its_mistakes(browser, page_of)
     browser.says("answer", 'nobody knows what "Lift whree payload" is')
 
 
+@pytest.mark.few(0)
 def test_an_answer_grows_old_and_whose_host_is_gone_is_grey_in_it(browser, page_of):
     page = page_of()
     browser.open(page.link)
@@ -358,6 +376,7 @@ def test_an_answer_grows_old_and_whose_host_is_gone_is_grey_in_it(browser, page_
     assert "old" not in (browser.thing("offer-lead").get_attribute("class") or "")
 
 
+@pytest.mark.few(0)
 def test_on_the_earth_places_are_degrees(browser, page_of):
     page = page_of("--earth")
     page.do("place lead 0 0")
@@ -373,6 +392,7 @@ def test_on_the_earth_places_are_degrees(browser, page_of):
     assert any(text.startswith("8.5") and text.endswith("° E") for text in told), told
 
 
+@pytest.mark.few(0)
 def test_coordinators_are_in_sight_below_their_vehicles_on_a_phone(browser, page_of):
     page = page_of()
     page.do("place lead -50 0")
@@ -403,6 +423,7 @@ def test_what_is_printed_is_shown_and_never_run(browser, page_of):
     assert browser.driver.title == "first-flight"
 
 
+@pytest.mark.few(0)
 def test_a_vehicle_without_a_position_is_in_the_table_alone(browser, page_of):
     page = page_of()
     page.do("unplace wing")
@@ -412,6 +433,7 @@ def test_a_vehicle_without_a_position_is_in_the_table_alone(browser, page_of):
     assert browser.all("marker-wing") == []
 
 
+@pytest.mark.few(0)
 def test_a_background_from_a_file(browser, page_of, tmp_path):
     picture = bytes.fromhex(
         "89504e470d0a1a0a0000000d49484452000000010000000108060000001f15c489"
@@ -430,6 +452,7 @@ def test_a_background_from_a_file(browser, page_of, tmp_path):
     assert browser.asked_hosts() == {page.address.removeprefix("http://")}
 
 
+@pytest.mark.few(0)
 def test_a_link_opens_one_browser_and_the_next_is_printed(browser, page_of):
     page = page_of()
     # Another program on 127.0.0.1 has left cookies in this browser, as no grammar of cookies allows them.
@@ -448,6 +471,7 @@ def test_a_link_opens_one_browser_and_the_next_is_printed(browser, page_of):
     browser.open(second)
 
 
+@pytest.mark.few(0)
 def test_two_pages_watch_at_once(browser, page_of):
     page = page_of()
     browser.open(page.link)
@@ -473,6 +497,7 @@ def test_a_page_that_has_lost_its_server_says_so(browser, page_of):
     browser.says("failed", "lfield estop")
 
 
+@pytest.mark.few(0)
 def test_a_page_that_was_asleep_catches_up(browser, page_of):
     page = page_of()
     browser.open(page.link)
@@ -506,6 +531,7 @@ REDRAWN = """data:text/html,<p data-testid=state>here</p><script>
 </script>"""
 
 
+@pytest.mark.few(0)
 def test_what_a_page_draws_anew_all_the_time_is_read(browser):
     """The helpers of these tests themselves."""
     browser.driver.get(REDRAWN)

@@ -69,8 +69,12 @@ def test_every_message_can_be_asked_for_once(kind):
     flavour = "px4" if kind in FLAVOURS["ardupilot"]["copter"].flavour.lacks else "ardupilot"
     c = Client(flavour=flavour)
     c.autopilot.parameters |= {"FENCE_ENABLE": 1, "EKF2_DRAG_CTRL": 1}
-    if kind == dialect.MAVLINK_MSG_ID_POSITION_TARGET_GLOBAL_INT:
-        # It is sent only while the vehicle goes to a place.
+    targets = (
+        dialect.MAVLINK_MSG_ID_POSITION_TARGET_GLOBAL_INT,
+        dialect.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED,
+    )
+    if kind in targets:
+        # They are sent only while the vehicle goes to a place.
         c.up()
         goal = (5.0, 0.0, -5.0, *[0.0] * 8)
         c.send(dialect.MAVLink_set_position_target_local_ned_message(0, 1, 1, 1, 0x0DF8, *goal))

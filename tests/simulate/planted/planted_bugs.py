@@ -202,7 +202,7 @@ BUGS = [
         silence_is_a_loss,
         "a host that is well declared a live coordinator lost when one link of a triangle was cut",
         frozenset({"lost", "stuck"}),
-        419,
+        507,
     ),
     Bug(
         two_starts_on_one_host,
@@ -233,7 +233,7 @@ BUGS = [
         no_memory_of_ids,
         "a receiver that forgets its verdicts says that what it has taken never arrived",
         frozenset({"I1", "I4"}),
-        3,
+        12,
     ),
     Bug(
         a_restart_is_taken_for_a_proof,
@@ -245,7 +245,7 @@ BUGS = [
         what_is_sent_is_not_on_disk,
         "a sender that is killed finds the copy that has left, and lets it go on",
         frozenset({"I1", "I4", "start"}),
-        2,
+        12,
     ),
     Bug(
         verdicts_are_not_on_disk,
@@ -281,7 +281,7 @@ BUGS = [
         generations_from_the_wall_clock,
         "a clock that was set back makes a later start an earlier one",
         frozenset({"start", "I1", "I2"}),
-        8,
+        19,
         draws=forgetful,
     ),
 ]

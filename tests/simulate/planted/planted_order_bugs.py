@@ -50,6 +50,16 @@ def a_pause_leaves_devices_alone(patch: Patch) -> None:
     patch.setattr(Guards, "rest", rest)
 
 
+def hasty(seed: int) -> Story:
+    """One in which a person often stops the team, takes that back and stops it again, on slow links."""
+    means = {"estop": 2.0, "slow": 0.7}
+    return replace(ordered(seed), means=means)
+
+
+def an_order_that_comes_late_ends_a_newer_stop(patch: Patch) -> None:
+    patch.setattr(Visitors, "_is_late", lambda self, hold, lift, link: False)
+
+
 def only_neighbours_are_called(patch: Patch) -> None:
     def wanted(self: HostCore) -> set[str]:
         return {*self.hearsay.wanted(self._clock.monotonic())} - {self.name}
@@ -63,10 +73,19 @@ def _bug(plant: Any, why: str, found: str, seed: int, draws: Any = ordered) -> B
 
 
 ORDER_BUGS = [
-    _bug(a_stop_is_forgotten_by_a_restart, "a host that was started again lets programs release", "stop", 2),
+    _bug(
+        a_stop_is_forgotten_by_a_restart, "a host that was started again lets programs release", "stop", 201
+    ),
     _bug(a_pause_is_forgotten_by_a_restart, "a host that was started again runs its agents", "pause", 1),
     _bug(a_stop_bars_nobody, "a program releases what a person has stopped", "stop", 2),
     _bug(a_pause_leaves_devices_alone, "a device goes on with its last setpoint", "pause", 18),
+    _bug(
+        an_order_that_comes_late_ends_a_newer_stop,
+        "a stop that was pressed after it was given ends by it",
+        "stop",
+        39,
+        hasty,
+    ),
     _bug(
         only_neighbours_are_called,
         "a coordinator never comes to a host with which there is no link",

@@ -134,7 +134,7 @@ QUORUM_BUGS = [
     _bug(
         the_first_acknowledgement_is_enough,
         "of more than three members a minority that hears itself keeps its lease",
-        33,
+        96,
         split,
     ),
     _bug(running_without_a_lease, "who is cut off works on while others go on", 95),

@@ -2,15 +2,46 @@
 
 from __future__ import annotations
 
+import random
+from dataclasses import replace
 from typing import Any
 
+from msgspec import structs
 from planted_bugs import Bug, Patch
 
+from lfield.host.team.keeping import Keeping
+from lfield.host.team.leases import Leases
+from lfield.quorum.core import Quorum
 from lfield.quorum.terminations import Terminations
-from lfield.simulate.stories.story import ending
+from lfield.simulate.seeds import Draws
+from lfield.simulate.stories.story import Story, ending
 
 #: By which breaches they may be found.
 RECOVERED = frozenset({"terminated", "promised"})
+
+
+def an_end_is_like_nothing_known(patch: Patch) -> None:
+    """A coordinator that has terminated looks like one of which nothing was ever heard."""
+    patch.setattr(Leases, "_saved_end", lambda self, agent: None)
+
+
+def a_promise_in_spite_of_a_known_end(patch: Patch) -> None:
+    """It is told in acknowledgements, but whoever is asked does not look."""
+    on_propose, sought = Quorum._on_propose, Quorum._sought
+
+    def promises(self: Quorum, host: str, message: Any, now: float) -> Any:
+        return on_propose(self, host, structs.replace(message, start=2**62), now)
+
+    def silent(self: Quorum, agent: str, now: float) -> Any:
+        return structs.replace(sought(self, agent, now), ended=None)
+
+    patch.setattr(Quorum, "_on_propose", promises)
+    patch.setattr(Quorum, "_sought", silent)
+    patch.setattr(Terminations, "all", property(lambda self: []))
+
+
+def an_end_is_told_before_it_is_on_disk(patch: Patch) -> None:
+    patch.setattr(Keeping, "on_record", lambda self, rows, here: list(rows))
 
 
 def an_end_is_written_down_in_spite_of_a_promise(patch: Patch) -> None:
@@ -19,14 +50,29 @@ def an_end_is_written_down_in_spite_of_a_promise(patch: Patch) -> None:
     patch.setattr(Terminations, "all", property(lambda self: []))
 
 
-def _bug(plant: Any, why: str, seed: int) -> Bug:
-    return Bug(plant, why, RECOVERED, seed, ending)
+def _bug(plant: Any, why: str, seed: int, draws: Draws = ending) -> Bug:
+    return Bug(plant, why, RECOVERED, seed, draws)
+
+
+def slowly(seed: int) -> Story:
+    """One in which a host loses power while the end of a coordinator is on its way to the disk."""
+    story = replace(ending(seed), calls=1 + seed % 2, stay=1.0, means={}, sync=0.002)
+    slow = replace(
+        story.aimed[0], kind="disk_slow", at=story.calls - 0.3 * random.Random(seed).random(), lasts=6.0
+    )
+    power = replace(slow, kind="power", at=slow.at + 2.0, lasts=1.0)
+    return replace(story, aimed=(slow, power))
 
 
 TERMINATED_BUGS = [
+    _bug(an_end_is_like_nothing_known, "who knows of the end answers like one that does not", 6),
+    _bug(a_promise_in_spite_of_a_known_end, "whoever is asked for a promise does not look", 6),
+    _bug(
+        an_end_is_told_before_it_is_on_disk, "it goes on from that disk, and others have its end", 7, slowly
+    ),
     _bug(
         an_end_is_written_down_in_spite_of_a_promise,
         "a majority has the end on disk while the recovery that one of it has promised begins",
-        32,
+        31,
     ),
 ]

@@ -79,7 +79,7 @@ TOGETHER_BUGS = [
         a_result_goes_before_its_coordinators_page,
         "a coordinator that goes back to its fetch finds nothing there",
         "result",
-        1,
+        6,
     ),
     _bug(
         who_may_have_begun_begins_again,
@@ -91,6 +91,6 @@ TOGETHER_BUGS = [
         a_begun_call_knows_no_time_limit,
         "a call on a host that cannot be reached works on when its block was left long ago",
         "outlives",
-        73,
+        83,
     ),
 ]

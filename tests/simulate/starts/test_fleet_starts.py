@@ -14,7 +14,6 @@ from lfield.journal.pages import Starts
 from lfield.mission.access.release import Release
 from lfield.mission.load import load_mission
 from lfield.mission.mission import Mission
-from lfield.simulate import hardware
 from lfield.simulate.fleet import Fleet
 from lfield.wire.observing import Status
 
@@ -115,6 +114,8 @@ def test_without_a_record_a_witness_is_heard_too_unless_it_is_left_out(tmp_path:
         fleet.boot(name)
     fleet.run(10.0)
     assert started(fleet)
+    warning = "starting boss without a record of earlier starts on this host and without an answer of dora"
+    assert said(fleet, warning, "alpha") == 1
 
 
 def test_a_host_that_is_left_out_by_the_devices_file_may_come_later(tmp_path: Path) -> None:
@@ -300,45 +301,6 @@ def test_until_done_waits_as_long_as_the_start_does(tmp_path: Path) -> None:
     fleet.boot("carol")
     fleet.run(20.0)
     assert fleet.left == dict.fromkeys(fleet.mission.team.hosts, 0)
-
-
-FLIES = """
-resource Post {
-    Mavlink fc;
-    init(string[] arg) { }
-    portal work(real seconds) emit int { sleep(seconds); return 1; }
-}
-coordinator Boss {
-    init(string[] arg) { print("begins"); findPost("two").work(0.1); print("ends"); }
-}
-"""
-
-
-@pytest.mark.parametrize("keeps", [True, False])
-def test_an_orderly_restart_while_a_vehicle_is_off_the_ground_begins_nothing_anew(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, keeps: bool
-) -> None:
-    (tmp_path / "mission.L").write_text(FLIES)
-    (tmp_path / "mission.dL").write_text("//Boss:boss@alpha\n//Post:two@bravo\n")
-    fleet = Fleet(load_mission(tmp_path / "mission.dL", simulate=True), 1, keeps=keeps)
-    fleet.run(5.0)
-    assert said(fleet, "boss: begins") == said(fleet, "boss: ends") == 1
-    # The coordinator has ended and its vehicle flies on.
-    monkeypatch.setitem(hardware.VALUES, "boolean", False)  # type: ignore[arg-type]  # it is a dict
-    fleet.run(1.0)
-    fleet.stop("alpha")
-    fleet.run(2.0)
-    fleet.boot("alpha")
-    fleet.run(5.0)
-    assert said(fleet, "boss: begins") == 1
-    assert said(fleet, "boss is not started: two.fc of bravo is off the ground", "alpha") == 1
-    # It has landed: nothing takes off again by itself.
-    monkeypatch.setitem(hardware.VALUES, "boolean", True)  # type: ignore[arg-type]
-    fleet.run(30.0)
-    assert said(fleet, "boss: begins") == 1
-    event(fleet, lambda core: core.startup.start([]))
-    fleet.run(1.0)
-    assert said(fleet, "boss: begins") == 2
 
 
 def test_a_start_that_waits_for_hosts_and_for_a_lease_costs_no_processor(tmp_path: Path) -> None:

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
+from lfield.host.team.absent import GRACE
 from lfield.mission.load import load_mission
 from lfield.simulate.fleet import Fleet, copies
-from lfield.wire.observing import Pause
 
 PROGRAM = """
 resource Post {
@@ -45,6 +45,7 @@ BOTH = """within (4.0) { together {
                 got[0] = findPost("one").work(1, ONE);
                 got[1] = findPost("two").work(2, TWO);
             } }"""
+WORKS_TWICE = 'within (4.0) { findPost("one").work(1, 0.5); findPost("two").work(2, 20.0); }'
 TEAM = "//Post:zero@alpha\n//Post:one@bravo\n//Post:two@carol\n//Boss:boss@alpha\n"
 
 Event = Callable[[Fleet], None]
@@ -60,6 +61,38 @@ def island(host: str, *, quietly: bool = False) -> Event:
                 fleet.network.silence(other, host)
             elif other != host:
                 fleet.cut(host, other)
+
+    return happens
+
+
+def process(host: str, *, frozen: bool) -> Event:
+    """The process of a host stands still, or is killed."""
+
+    def happens(fleet: Fleet) -> None:
+        if frozen:
+            fleet.lives[host].process.loop.freeze()
+        else:
+            fleet.crash(host)
+
+    return happens
+
+
+def mute(host: str) -> Event:
+    """A host hears all, and nobody hears it."""
+
+    def happens(fleet: Fleet) -> None:
+        for other in fleet.machines:
+            fleet.network.silence(host, other)
+
+    return happens
+
+
+def deaf(host: str) -> Event:
+    """All hear a host, and it hears nobody."""
+
+    def happens(fleet: Fleet) -> None:
+        for other in fleet.machines:
+            fleet.network.silence(other, host)
 
     return happens
 
@@ -102,10 +135,16 @@ def of(one: float, two: float) -> str:
         (of(20.0, 20.0), {3.9: island("bravo")}),
         (of(0.5, 20.0), {1.0: island("bravo")}),
         (of(20.0, 0.5), {0.2: island("bravo")}),
-        # It cannot be reached from the beginning, or its link is silent for longer than a sign of life takes.
+        # It cannot be reached from the beginning, or its link is silent: nobody is told that it is gone.
         (of(0.5, 0.5), {-1.0: island("carol")}),
         (of(0.5, 0.5), {-1.0: island("bravo")}),
         (of(20.0, 20.0), {1.5: island("bravo", quietly=True)}),
+        (of(20.0, 20.0), {1.0: process("bravo", frozen=True)}),
+        (of(20.0, 20.0), {1.0: process("bravo", frozen=False)}),
+        ('within (4.0) { findPost("one").work(1, 0.5); }', {-1.0: island("bravo", quietly=True)}),
+        ('within (4.0) { findPost("one").work(1, 0.5); }', {-1.0: process("bravo", frozen=True)}),
+        ('within (4.0) { reserve (findPost("one")) { sleep(1.0); } }', {-1.0: process("bravo", frozen=True)}),
+        (WORKS_TWICE, {0.3: island("carol", quietly=True)}),
         # One inside the other: the nearer end counts, and no catch inside keeps it.
         (f"within (30.0) {{ {of(20.0, 20.0)} }}", {0.5: island("bravo")}),
         (of(20.0, 20.0).replace("4.0", "30.0").join(("within (4.0) { ", " }")), {0.5: island("bravo")}),
@@ -127,6 +166,38 @@ def test_a_block_ends_with_its_time_though_a_host_cannot_be_reached(
     assert "late" not in how
 
 
+@pytest.mark.parametrize(
+    "script",
+    [
+        {3.4: island("bravo", quietly=True)},
+        {3.98: island("bravo", quietly=True)},
+        # Then it stands on the host that is cut off.
+        {3.0: island("carol", quietly=True)},
+        {3.0: mute("bravo")},
+        {1.0: deaf("bravo")},
+        {3.0: process("bravo", frozen=True)},
+        {3.0: lambda fleet: fleet.power_off("bravo")},
+    ],
+)
+def test_a_link_that_falls_silent_just_before_the_end_costs_the_time_of_one_sign_of_life(
+    tmp_path: Path, script: dict[float, Event]
+) -> None:
+    """The coordinator is not sent into the silence, where it would stay in doubt as long as that lasts."""
+    seconds, how = ends(tmp_path, of(20.0, 20.0), dict(script))
+    assert seconds == pytest.approx(4.0 + GRACE, abs=0.1), how
+    assert how.startswith("time limit: the time is over; one.work() was not reached"), how
+    assert how.endswith("; the block ends 0.3 s late since it waited for its calls and their hosts"), how
+
+
+def test_several_silent_hosts_cost_the_time_of_one_sign_of_life(tmp_path: Path) -> None:
+    last = 'got[1] = findPost("two").work(2, 20.0);'
+    body = of(20.0, 20.0).replace(last, f'{last} findPost("zero").work(3, 20.0);')
+    # It has begun what is on carol last, and stands there.
+    seconds, how = ends(tmp_path, body, {3.5: island("carol", quietly=True)})
+    assert seconds == pytest.approx(4.0 + GRACE, abs=0.1), how
+    assert how.count("was not reached") == 2, how
+
+
 def test_leaving_a_together_by_an_exception_is_bounded_by_the_limit_around_it(tmp_path: Path) -> None:
     body = """within (4.0) { together {
                 got[0] = findPost("one").work(1, 20.0);
@@ -141,9 +212,9 @@ def test_leaving_a_together_by_an_exception_is_bounded_by_the_limit_around_it(tm
 
 def test_a_copy_in_doubt_stays_and_the_exception_says_by_how_much_it_is_late(tmp_path: Path) -> None:
     """It has been sent when the links fall silent: nothing is sent twice, and nothing is taken back."""
-    body = of(0.5, 0.5)
+    body = 'within (4.0) { findPost("two").work(2, 0.5); }'
     seconds, how = ends(
-        tmp_path, body, {0.0: island("carol", quietly=True), 12.0: lambda fleet: fleet.heal_all()}
+        tmp_path, body, {0.02: island("carol", quietly=True), 12.0: lambda fleet: fleet.heal_all()}
     )
     assert seconds > 12.0
     late = re.match(r"time limit: the time is over, ([0-9.]+) s late(.*)", how)
@@ -161,7 +232,9 @@ def test_a_call_that_takes_long_to_be_cancelled_makes_the_block_late_and_that_is
     together = 'within (4.0) { together { findPost("one").tidies(2.0); findPost("two").tidies(1.0); } }'
     seconds, how = ends(tmp_path, together, {})
     assert seconds == pytest.approx(6.0, abs=0.2)
-    assert re.search(r"; the block ends (1\.9|2\.[01]) s late since it waited for its calls$", how), how
+    assert re.search(
+        r"; the block ends (1\.9|2\.[01]) s late since it waited for its calls and their hosts$", how
+    ), how
 
 
 def test_a_finally_is_not_cut_short_and_the_exception_says_what_that_has_cost(tmp_path: Path) -> None:
@@ -172,11 +245,32 @@ def test_a_finally_is_not_cut_short_and_the_exception_says_what_that_has_cost(tm
     assert re.match(rf"time limit: the time is over, (1\.9|2\.[01]) s late {why}", how), how
 
 
-def test_a_host_that_is_paused_does_not_keep_a_block_beyond_its_time(tmp_path: Path) -> None:
-    def pause(fleet: Fleet) -> None:
-        life = fleet.lives["bravo"]
-        life.process.loop.enter(lambda: life.host._enter(lambda: life.core.pause(on=True)))
+def paused(host: str, *, on: bool) -> Event:
+    """The mission is paused at a host, or resumed there."""
 
-    assert Pause().lift is False
-    seconds, how = ends(tmp_path, of(20.0, 20.0), {1.0: pause})
+    def happens(fleet: Fleet) -> None:
+        life = fleet.lives[host]
+        life.process.loop.enter(lambda: life.host._enter(lambda: life.core.pause(on=on)))
+
+    return happens
+
+
+@pytest.mark.parametrize(
+    ("body", "script"),
+    [
+        ("within (4.0) { sleep(20.0); }", {1.0: paused("alpha", on=True), 10.0: paused("alpha", on=False)}),
+        (of(20.0, 20.0), {1.0: process("carol", frozen=True), 10.0: lambda fleet: fleet.heal_all()}),
+    ],
+)
+def test_a_host_that_runs_no_programs_when_the_time_is_over_makes_the_block_late_and_that_is_said(
+    tmp_path: Path, body: str, script: dict[float, Event]
+) -> None:
+    seconds, how = ends(tmp_path, body, dict(script))
+    late = re.match(r"time limit: the time is over, ([0-9.]+) s late since its host was paused, or", how)
+    assert late is not None, how
+    assert float(late[1]) == pytest.approx(seconds - 4.0, abs=0.2)
+
+
+def test_a_host_that_is_paused_does_not_keep_a_block_beyond_its_time(tmp_path: Path) -> None:
+    seconds, how = ends(tmp_path, of(20.0, 20.0), {1.0: paused("bravo", on=True)})
     assert seconds == pytest.approx(4.0, abs=0.1), how

@@ -13,7 +13,7 @@ from lfield.host.host import Host
 from lfield.mobility.neighbours import Neighbourhood
 from lfield.simulate.fleet import Fleet
 from lfield.simulate.judging.judge import Judge
-from lfield.simulate.operator import Operator
+from lfield.simulate.operator import Hold, Operator
 from lfield.simulate.seeds import told
 from lfield.simulate.stories.drawing import KINDS, drawn, under_orders
 from lfield.simulate.stories.shrink import command
@@ -96,11 +96,45 @@ def test_a_person_stops_and_pauses_a_team_until_that_is_taken_back() -> None:
     fleet.close()
 
 
+@pytest.mark.parametrize("hold", ["stop", "pause"])
+def test_an_order_that_comes_late_does_not_end_a_stop_that_was_pressed_after_it(hold: Hold) -> None:
+    story = replace(plain(1), keep=frozenset(), hosts=3, walkers=1, arms=1, calls=FOR_EVER, stay=0.04)
+    judge = Judge()
+    fleet = judge.fleet = Fleet(story.mission, 1, born=judge.born)
+    operator = Operator(fleet, judge.orders, random.Random(1))
+
+    def held() -> list[bool]:
+        cores = [life.core.coordinators for _, life in sorted(fleet.lives.items())]
+        return [bool(core.stopped if hold == "stop" else core.paused) for core in cores]
+
+    fleet.run(4.0)
+    operator.press(hold, 1.0)
+    fleet.run(0.9)
+    # What takes that back is on a link of its own, and on its way to h0 for some seconds.
+    fleet.network.ways.slow["operator", "h0"] = 2.0, 2.0
+    fleet.run(3.5)
+    assert held() == [True, False, False]
+    del fleet.network.ways.slow["operator", "h0"]
+    operator.press(hold, 30.0)
+    fleet.run(0.3)
+    assert held() == [True] * 3
+    fleet.run(5.0)
+    assert held() == [True] * 3
+    assert any("is not carried out: another" in text for _, _, text in fleet.log)
+    judge.look()
+    assert not judge.breaches
+    operator.free_all()
+    fleet.run(2.0)
+    assert held() == [False] * 3
+    fleet.close()
+
+
 def test_a_story_leaves_nothing_in_memory() -> None:
     """What the processes of a simulation leave is freed with it: 2,000 stories fit into one process."""
     gc.collect()
-    before = sum(isinstance(found, Host) for found in gc.get_objects())
+    # Not isinstance: it asks weak references of other tests for the class of what is gone.
+    before = sum(type(found) is Host for found in gc.get_objects())
     verdict = told(0)
     assert verdict.calls
     gc.collect()
-    assert sum(isinstance(found, Host) for found in gc.get_objects()) == before
+    assert sum(type(found) is Host for found in gc.get_objects()) == before

@@ -311,6 +311,7 @@ def test_what_a_portal_throws_is_told_with_its_end(tmp_path: Path) -> None:
     assert chain(eye, finished)[:2] == ["ended", "began"]
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize("seed", range(4))
 def test_a_run_is_the_same_whether_or_not_it_is_watched(tmp_path: Path, seed: int) -> None:
     """A watcher changes nothing of what the team does: not one line, nor when."""

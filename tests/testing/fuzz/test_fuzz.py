@@ -34,6 +34,7 @@ DICE = st.randoms(use_true_random=False)
 _BEYOND = {"device", "offers", "explain", "teams", "settle"}
 
 
+@pytest.mark.few(4)
 @pytest.mark.parametrize("planted", PLANTED)
 def test_a_planted_fault_is_found(planted: type[Engine]) -> None:
     seeds = iter(range(_SOON))
@@ -44,7 +45,7 @@ def test_a_planted_fault_is_found(planted: type[Engine]) -> None:
             return
 
 
-@pytest.mark.few(8)
+@pytest.mark.few(2)
 @pytest.mark.parametrize("fault", FAULTS, ids=str)
 def test_a_fault_in_the_text_of_the_engine_is_found(fault: Fault) -> None:
     assert finder(fault, _SOON) is not None

@@ -179,7 +179,7 @@ def test_a_call_in_the_queue_never_begins() -> None:
     yard.pass_time(2.0)
     assert yard.serving == 1
     yard.pass_time(5.0)
-    late = "the block ends 5.0 s late since it waited for its calls"
+    late = "the block ends 5.0 s late since it waited for its calls and their hosts"
     assert yard.place.output == [f"{OVER.format('holds')}; crane.next() was cancelled; {late}"]
 
 

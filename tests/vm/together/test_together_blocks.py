@@ -154,6 +154,7 @@ def test_what_is_inspected_says_what_has_become_of_the_calls() -> None:
     } <= seen
 
 
+@pytest.mark.few(1)
 @settings(max_examples=150, deadline=None)
 @given(st.data())
 def test_hostile_togethers_are_refused_or_harmless(data: st.DataObject) -> None:

@@ -316,7 +316,7 @@ def test_a_time_limit_is_held_where_the_calls_run() -> None:
     body = "try { within (1.0) { " + ALL + " } } catch (TimeLimitException e) { print(e.message()); }"
     joined = run(body + " print(now() - begun);", 3)
     said = "the time is over; r0.work() was cancelled; r1.work() was cancelled; r2.work() was cancelled"
-    said += "; the block ends 0.5 s late since it waited for its calls"
+    said += "; the block ends 0.5 s late since it waited for its calls and their hosts"
     # Each host has cancelled its own by itself, at the same time.
     assert joined.printed == ["r0 cancelled", "r1 cancelled", "r2 cancelled", said, "1.5"]
 

@@ -88,6 +88,7 @@ def _ways_out(text: str) -> int:
     return max((f.count("br $exit") + f.count("$spill") for f in functions), default=0)
 
 
+@pytest.mark.few(4)
 @pytest.mark.parametrize("shape", SHAPES)
 def test_code_that_is_ten_times_as_long_takes_ten_times_as_long(shape, steps):
     short, long = (_prepared(_program(SHAPES[shape](n))) for n in (60, 600))

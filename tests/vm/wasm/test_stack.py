@@ -120,6 +120,7 @@ def _forget() -> None:
     code._recent.clear()
 
 
+@pytest.mark.few(8)
 @pytest.mark.parametrize("body", SHAPES.values(), ids=SHAPES)
 def test_the_deepest_recursion_does_the_same(body: str) -> None:
     text = _program(body, Limits().call_depth - 2, AGAIN["loop"])
@@ -143,6 +144,7 @@ def test_a_method_of_few_slots_and_many_products_does_the_same() -> None:
     assert _run(text, Engine, Limits()) == _run(text, Reference, Limits())
 
 
+@pytest.mark.few(12)
 @pytest.mark.parametrize("again", AGAIN.values(), ids=AGAIN)
 @pytest.mark.parametrize("body", SHAPES.values(), ids=SHAPES)
 def test_half_the_stack_is_in_reserve(body: str, again: str, with_half: Callable[[], None]) -> None:

@@ -31,6 +31,7 @@ from lfield.operator.sight.seen import (
 )
 from lfield.wire import events
 from lfield.wire.events import Event
+from lfield.wire.fields import short_digest
 from lfield.wire.observing import EmergencyStopped, Status
 from lfield.wire.watching import Events
 
@@ -60,6 +61,7 @@ class _Host:
     waits_for: tuple[str, ...] = ()
     start_held: str = ""
     refused: dict[str, str] = field(default_factory=dict)
+    bundle: str = ""
     late: float | None = None
     reaches: dict[str, bool] = field(default_factory=dict)
     away: dict[str, float] = field(default_factory=dict)
@@ -177,6 +179,7 @@ class Picture:
         host.paused, host.late = status.paused, status.late
         host.stopped = status.stopped
         host.refused = {refused.host: refused.reason for refused in status.refused}
+        host.bundle = short_digest(status.bundle.digest) if status.bundle is not None else ""
         host.waits_for = tuple(status.start.hosts) if status.start is not None else ()
         host.start_held = status.start.held if status.start is not None else ""
         host.reaches = {link.host: True for link in status.links if link.away is None}
@@ -271,6 +274,7 @@ class Picture:
             waits_for=host.waits_for,
             start_held=host.start_held,
             refused=dict(host.refused),
+            bundle=host.bundle,
             late=host.late,
             reaches=tuple(host.reaches),
             away={peer: max(0.0, now - when) for peer, when in host.away.items()},

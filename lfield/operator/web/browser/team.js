@@ -191,6 +191,7 @@ export default {
       else if (host.trouble) parts.push(host.trouble);
       if (host.linked) parts.push(host.reaches.length ? `linked with ${host.reaches.join(", ")}` : "linked");
       for (const [other, seconds] of Object.entries(host.away)) parts.push(`misses ${other} for ${words.age(seconds)}`);
+      if (host.bundle) parts.push(`bundle ${host.bundle}`);
       if (host.waits_for.length) parts.push(`start waits for ${host.waits_for.join(", ")}`);
       if (host.start_held) parts.push(`start held: ${host.start_held}`);
       for (const [other, reason] of Object.entries(host.refused)) parts.push(`no link with ${other}: ${reason}`);

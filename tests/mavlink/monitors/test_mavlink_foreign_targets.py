@@ -1,0 +1,256 @@
+"""Targets of another station: velocities, heights, at any time of a flight; and what is no such thing."""
+
+from __future__ import annotations
+
+import asyncio
+from itertools import pairwise
+
+import pytest
+from test_mavlink_flight_faults import at, fails, foreign, reposition, setpoint, up
+
+from lfield_mavlink.link.dialect import dialect
+from lfield_mavlink.link.ports import Neighbours
+from lfield_mavlink.monitors.target import LATE, SEEN, CourseMonitor, TargetMonitor
+
+HOME, GOAL, ELSEWHERE = (0.0, 0.0, -8.0), (60.0, 0.0, -8.0), (-20.0, -20.0, -8.0)
+
+
+def velocity(north, east, down, target=1):
+    given = (0.0, 0.0, 0.0, north, east, down, *[0.0] * 5)
+    return dialect.MAVLink_set_position_target_local_ned_message(0, target, 1, 1, 0x0DC7, *given)
+
+
+def interfered(b, message, *, after, pause=0.2, known=True):
+    """A station sends a message again and again; when it begins, on the loop's clock."""
+    begins = asyncio.get_running_loop().time() + after
+
+    async def interfere():
+        await asyncio.sleep(after)
+        while True:
+            data = foreign(b, message)
+            if known:
+                b.links[0].on_data(data)
+            await asyncio.sleep(pause)
+
+    return begins, asyncio.create_task(interfere())
+
+
+@pytest.mark.few(3)
+@pytest.mark.parametrize(
+    ("flavour", "kind", "sent", "words"),
+    [
+        ("ardupilot", "copter", (0.0, 0.0, 1.0), "another station has sent it elsewhere, at 1.0 m/s"),
+        ("px4", "copter", (-2.0, -2.0, 0.0), "another station has sent it elsewhere, at 2.8 m/s"),
+        ("ardupilot", "rover", (-1.0, -1.0, 0.0), "m from its goal it goes elsewhere, at 1."),
+        ("ardupilot", "copter", (2.0, 1.0, 0.0), "another station has sent it elsewhere, at 2.2 m/s"),
+        ("ardupilot", "copter", (0.0, 0.0, 0.0), "another station has sent it elsewhere, at 0.0 m/s"),
+        ("px4", "rover", (-1.0, -1.0, 0.0), "m from its goal it goes elsewhere, at 1."),
+    ],
+)
+def test_velocities_of_another_station_are_a_takeover_within_two_seconds(bench, flavour, kind, sent, words):
+    b = bench(flavour=flavour, kind=kind, limits={"speed": 3.0})
+
+    async def mission(fc):
+        if kind == "copter":
+            await up(fc)
+        else:
+            await fc.execute("arm", [])
+        pause = 0.03 if flavour == "px4" else 0.2
+        began, other = interfered(b, velocity(*sent), after=6.25, pause=pause)
+        ended, reason = await fails(b, fc.execute("goTo", list(GOAL)))
+        assert ended - began < 2.0
+        assert words in reason
+        assert "system 77, component 190" in reason
+        assert fc.taken_over()
+        other.cancel()
+
+    b.run(mission)
+
+
+@pytest.mark.parametrize("message", [setpoint(*ELSEWHERE), velocity(-2.0, 0.0, 0.0)])
+def test_a_flight_by_velocities_that_another_station_takes_over_is_told_of_it(bench, message):
+    b = bench(limits={"speed": 3.0}, ttl=1.0)
+
+    async def mission(fc):
+        await up(fc)
+        began, other = interfered(b, message, after=3.03, pause=0.1)
+
+        async def flight():
+            while True:
+                await fc.execute("setVelocity", [1.0, 0.0, 0.0])
+                await asyncio.sleep(0.2)
+
+        ended, reason = await fails(b, flight())
+        assert 0.0 < ended - began < 2.0
+        assert "setVelocity refused: another station has sent it elsewhere" in reason
+        other.cancel()
+
+    b.run(mission)
+
+
+def test_a_copter_that_takes_off_or_hovers_is_seen_to_be_sent_elsewhere(bench):
+    b = bench()
+
+    async def mission(fc):
+        await fc.execute("arm", [])
+        began = at(4.0, lambda: foreign(b, setpoint(*ELSEWHERE)))
+        ended, reason = await fails(b, fc.execute("takeoff", [20.0]))
+        assert ended - began < 2.0
+        assert "takeoff ended early: another station has sent it elsewhere, to a place 28 m away" in reason
+        await fc.execute("release", [])
+        await fc.execute("hold", [])
+        await asyncio.sleep(4.0)
+        assert not fc.taken_over()
+        foreign(b, reposition(b, 30.0, 30.0, 8.0))
+        await asyncio.sleep(2.0)
+        assert fc.taken_over()
+
+    b.run(mission)
+
+
+def test_another_height_and_what_a_router_sends_back(bench):
+    b = bench()
+
+    async def mission(fc):
+        await up(fc)
+        send = b.links[0].send
+        b.links[0].send = lambda data: (send(data), b.links[0].on_data(data))
+        began = at(6.25, lambda: foreign(b, setpoint(60.0, 0.0, -15.0)))
+        ended, reason = await fails(b, fc.execute("goTo", list(GOAL)))
+        assert ended - began < 2.0
+        assert "sent it elsewhere, 7 m from its goal;" in reason, "nobody else's message came here"
+
+    b.run(mission)
+
+
+def test_a_px4_rover_that_is_repositioned_is_in_other_hands(bench):
+    b = bench(flavour="px4", kind="rover", limits={"speed": 3.0})
+
+    async def mission(fc):
+        await fc.execute("arm", [])
+        at(6.25, lambda: b.links[0].on_data(foreign(b, reposition(b, -20.0, -20.0, 0.0))))
+        _, reason = await fails(b, fc.execute("goTo", list(GOAL)))
+        assert "went to AUTO.LOITER, commanded by system 77, component 190" in reason
+        assert fc.taken_over()
+
+    b.run(mission)
+
+
+# -- pure ---------------------------------------------------------------------------------------------
+
+
+def test_a_goal_that_is_lost_for_seconds_leaves_the_place_before_it_its_own():
+    """ArduPilot is sent where it is, then its goal; on a bad radio the goal comes late."""
+    monitor = TargetMonitor()
+    monitor.clear(0.0)
+    monitor.on_place(HOME, 0.0, HOME)
+    monitor.on_told_place(HOME, 1.0, HOME, aloft=True)
+    for second in range(1, 8):
+        monitor.on_place(GOAL, float(second), None)
+        monitor.on_told_place(HOME, second + 0.5, HOME, aloft=True)
+    assert monitor.on_guided(9.0) == ""
+    monitor.on_told_place(ELSEWHERE, 9.0, HOME, aloft=True)
+    assert monitor.on_guided(9.5) == "82 m from its goal"
+
+
+def test_targets_of_the_motion_before_may_come_late_but_not_for_ever():
+    monitor = TargetMonitor()
+    for at_, place in enumerate((HOME, GOAL)):
+        monitor.on_place(place, float(at_), None)
+    monitor.clear(2.0)
+    monitor.on_place(ELSEWHERE, 2.0, GOAL)
+    monitor.on_told_place(ELSEWHERE, 2.2, GOAL, aloft=True)
+    monitor.on_told_place(HOME, 2.0 + LATE - 0.1, GOAL, aloft=True)
+    assert monitor.on_guided(9.0) == ""
+    monitor.on_told_place(HOME, 2.0 + LATE + 0.1, GOAL, aloft=True)
+    assert monitor.on_guided(9.0) != ""
+
+
+def test_a_stream_that_began_before_the_motion_is_found_when_ours_should_have_been_seen():
+    monitor = TargetMonitor()
+    monitor.clear(0.0)
+    monitor.on_place(GOAL, 0.0, HOME)
+    monitor.on_told_place(ELSEWHERE, SEEN - 0.1, HOME, aloft=True)
+    assert monitor.on_guided(2.0) == ""
+    monitor.on_told_place(ELSEWHERE, SEEN + 0.1, HOME, aloft=True)
+    assert monitor.on_guided(2.0) != ""
+
+
+@pytest.mark.parametrize(
+    ("sent", "told", "strange"),
+    [
+        ((2.0, 0.0, 0.0), (2.0, 0.0, 0.0), False),
+        ((2.0, 0.0, 0.0), (1.2, 0.0, 0.0), False),  # bounded by its own limit
+        ((2.0, 0.0, -1.0), (2.0, 0.0, -0.4), False),  # it climbs more slowly
+        ((2.0, 0.0, 0.0), (0.0, 0.0, 0.0), False),  # its time is over
+        ((2.0, 0.0, 0.0), (-1.0, 0.0, 0.0), True),
+        ((2.0, 0.0, 0.0), (2.0, 1.0, 0.0), True),
+        ((2.0, 0.0, 0.0), (4.0, 0.0, 0.0), True),
+        ((0.0, 0.0, 0.0), (0.0, 0.0, 1.0), True),
+    ],
+)
+def test_velocities_are_the_same_or_bounded(sent, told, strange):
+    monitor = TargetMonitor()
+    monitor.on_velocity(sent, 0.0)
+    monitor.on_told_velocity(told, 0.2)
+    assert bool(monitor.on_guided(1.0)) == strange
+
+
+def test_on_the_ground_a_target_of_long_ago_means_nothing():
+    monitor = TargetMonitor()
+    monitor.clear(0.0)
+    monitor.on_told_place(GOAL, 50.0, HOME, aloft=False)
+    assert monitor.on_guided(60.0) == ""
+
+
+def course(*velocities, start=(0.0, 0.0, 0.0), step=0.1):
+    """Whether it leaves its course to GOAL, flying so for a second each."""
+    monitor, place, now = CourseMonitor(), start, 0.0
+    monitor.begin(GOAL)
+    left = []
+    for north, east in velocities:
+        for _ in range(10):
+            now, place = now + step, (place[0] + north * step, place[1] + east * step, -8.0)
+            monitor.on_motion(place, (north, east, 0.0), now)
+        left.append(monitor.leaves > 0.0)
+    return left
+
+
+def test_a_course_is_left_once_it_was_taken():
+    assert course((2.0, 0.0), (0.0, 2.0)) == [False, True]
+    assert course((2.0, 0.0), (-2.0, 0.0), (2.0, 0.0)) == [False, True, False]
+    assert course((2.0, 0.5), (2.0, -1.0)) == [False, False], "it swerves"
+    assert course((-2.0, 0.0), (0.0, 2.0), (2.0, 1.0)) == [False] * 3, "a rover turns first"
+    assert course((2.0, 0.0), (0.0, 0.5)) == [False, False], "wind pushes what stands"
+    assert course((2.0, 0.0), (-2.0, 0.0), start=(58.0, 0.0, 0.0)) == [False, False], "it is there"
+
+
+def test_who_has_commanded_a_vehicle_is_named_for_commands_that_lead_it():
+    mav = dialect.MAVLink(None, srcSystem=255, srcComponent=190)
+
+    def heard(message, target):
+        message.pack(mav)
+        neighbours = Neighbours()
+        neighbours.commanded(message, 1.0)
+        return neighbours.commander(target, 2.0)
+
+    def command(number, target=1):
+        return dialect.MAVLink_command_long_message(target, 1, number, 0, *[0.0] * 7)
+
+    assert heard(velocity(1.0, 0.0, 0.0), 1) == "system 255, component 190"
+    assert heard(velocity(1.0, 0.0, 0.0, target=0), 1) == "system 255, component 190"
+    assert heard(command(dialect.MAV_CMD_DO_REPOSITION), 1) == "system 255, component 190"
+    assert heard(command(dialect.MAV_CMD_DO_REPOSITION, target=2), 1) == ""
+    assert heard(command(dialect.MAV_CMD_REQUEST_MESSAGE), 1) == "", "QGroundControl asks for much"
+
+
+def test_own_velocities_one_after_another_are_nobody_elses():
+    monitor = TargetMonitor()
+    sent = [(1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (-1.0, 0.0, -0.5), (0.0, 0.0, 0.0)]
+    for number, (before, now) in enumerate(pairwise(sent)):
+        at_ = 0.2 * number
+        monitor.on_velocity(now, at_)
+        monitor.on_told_velocity(now, at_ + 0.1)
+        if number:
+            monitor.on_told_velocity(before, at_ + 0.15)
+    assert monitor.on_guided(9.0) == ""
