@@ -12,7 +12,7 @@ from typing import Any, Protocol
 
 from lfield.driver import DeviceError
 from lfield_mavlink.link.dialect import dialect
-from lfield_mavlink.link.sources import Board
+from lfield_mavlink.link.strands import Board
 
 #: Seconds between two attempts to learn who is there.
 AGAIN = 1.0

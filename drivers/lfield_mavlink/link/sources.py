@@ -15,6 +15,7 @@ from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 from lfield_mavlink.link.dialect import dialect
+from lfield_mavlink.link.strands import Board, Heartbeats, Strands
 
 #: Seconds after its last packet for which an address still counts as in use, and for which a second one that
 #: sends heartbeats is a conflict.
@@ -45,22 +46,6 @@ class Source(NamedTuple):
     address: str = ""
 
 
-class Board(NamedTuple):
-    """What AUTOPILOT_VERSION says of a board: its unique id ('' for none), and its firmware."""
-
-    uid: str
-    firmware: tuple[int, ...]
-
-    @classmethod
-    def of(cls, message: Any) -> Board:
-        """Of uid2 and uid: PX4's simulators have the same uid everywhere, ArduPilot has uid2 alone."""
-        long = bytes(message.uid2).rstrip(b"\0")
-        uid = long.hex() + (f"-{message.uid:x}" if message.uid else "") if long or message.uid else ""
-        versions = (message.flight_sw_version, message.middleware_sw_version, message.os_sw_version)
-        kinds = (message.board_version, message.vendor_id, message.product_id)
-        return cls(uid, (*versions, *kinds, *message.flight_custom_version))
-
-
 @dataclass(slots=True)
 class _Seen:
     """What came from one source."""
@@ -81,6 +66,8 @@ class _Seen:
     #: The vehicle's seconds since its start less ours, at the least delay.
     clock: float | None = None
     booted: float = -math.inf
+    heartbeats: Heartbeats = field(default_factory=Heartbeats)
+    strands: Strands = field(default_factory=Strands)
     backwards: deque[float] = field(default_factory=lambda: deque(maxlen=BACKWARDS))
 
     def on_packet(self, message: Any, now: float) -> None:
@@ -90,6 +77,7 @@ class _Seen:
             if now - self.beat > LASTS:
                 self.first_beat, self.asked = now, 0
             self.beat = now
+            self.heartbeats.on_heartbeat(message, now)
         elif message.get_msgId() == dialect.MAVLINK_MSG_ID_AUTOPILOT_VERSION:
             self._on_board(Board.of(message), now)
         elif message.get_msgId() == dialect.MAVLINK_MSG_ID_ATTITUDE:
@@ -156,6 +144,8 @@ class Sources:
         self._own: set[Source] = set()
         self._first = math.inf
         self._rivals: dict[Source, float] = {}
+        # Own addresses from which a second vehicle sends, too.
+        self._mixed: set[Source] = set()
         self.events: list[str] = []
         self.moves = 0
 
@@ -163,7 +153,7 @@ class Sources:
 
     def accepts(self, source: Source) -> bool:
         """Whether packets from there are the vehicle's, as far as is known."""
-        return source in self._own
+        return source in self._own and source not in self._mixed
 
     def touch(self, source: Source, now: float) -> None:
         """A packet that need not be read came from one of the vehicle's own addresses."""
@@ -181,8 +171,7 @@ class Sources:
             seen = self._add(source)
         seen.on_packet(message, now)
         if source in self._own:
-            self._note_mixed(source, now)
-            return True
+            return self._is_first(source, seen, message, now)
         if not self._own:
             self._own.add(source)
             self._first = now
@@ -226,16 +215,19 @@ class Sources:
         found = [seen.is_same(self._seen[each], both=bool(used)) for each in used or self._own]
         return False if False in found else None if None in found else True
 
-    def _note_mixed(self, source: Source, now: float) -> None:
-        """Say once that two vehicles share an address, as long as they do."""
-        if not self._seen[source].is_mixed(now):
-            return
-        if now - self._rivals.get(source, -math.inf) > LASTS:
+    def _is_first(self, source: Source, seen: _Seen, message: Any, now: float) -> bool:
+        """Whether a packet from an own address is the vehicle's, and not of a second one behind it."""
+        first = seen.strands.is_first(message, now)
+        if not seen.is_mixed(now):
+            self._mixed.discard(source)
+            return first or not seen.strands.is_doubled(now)
+        if source not in self._mixed:
+            self._mixed.add(source)
             self.events.append(
-                f"two vehicles send as system {self._system}, both over {self._words(source)}, where they "
-                f"cannot be kept apart: both get what is sent; {REMEDY}"
+                f"two vehicles send as system {self._system}, both over {self._words(source)}: the telemetry "
+                f"of the second is ignored, but both get what is sent; {REMEDY}"
             )
-        self._rivals[source] = now
+        return first
 
     def _conflict(self, source: Source, now: float) -> None:
         if now - self._rivals.get(source, -math.inf) > LASTS:
@@ -250,7 +242,7 @@ class Sources:
 
     def conflict(self, now: float) -> str:
         """Which addresses are two vehicles with this system id; '' when none are."""
-        rivals = [each for each, at in self._rivals.items() if now - at <= LASTS and each not in self._own]
+        rivals = [each for each, at in self._rivals.items() if now - at <= LASTS]
         if rivals:
             names = " and ".join(map(self._words, (*sorted(self._own), *sorted(rivals))))
             return f"two vehicles send as system {self._system}: {names}"
@@ -270,12 +262,16 @@ class Sources:
         return now - self._first >= LISTENS and not any(pending)
 
     def due(self, now: float) -> list[Source]:
-        """The addresses to ask for AUTOPILOT_VERSION now: those of other links that may be the vehicle's."""
-        found = []
+        """The addresses to ask for AUTOPILOT_VERSION now: who sends from there is not certain."""
         links = {each.link for each in self._own if now - self._seen[each].at <= IN_USE}
+        found = []
         for source, seen in self._seen.items():
-            waits = source not in self._own and source.link not in links and seen.board is None
-            if waits and now - seen.beat <= LASTS and seen.asked < ASKS and now - seen.asked_at >= ASK_AGAIN:
+            if source in self._own:
+                waits = now - seen.heartbeats.contradicted <= LASTS
+            else:
+                unknown = seen.board is None and source.link not in links
+                waits = unknown and now - seen.beat <= LASTS and seen.asked < ASKS
+            if waits and now - seen.asked_at >= ASK_AGAIN:
                 seen.asked, seen.asked_at = seen.asked + 1, now
                 found.append(source)
         return found

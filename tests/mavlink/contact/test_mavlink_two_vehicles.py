@@ -196,7 +196,34 @@ def test_two_vehicles_behind_a_router_are_not_armed(bench, flavour, head_start):
         await fc.execute("arm", [])
 
     b.run(mission)
-    assert sum("cannot be kept apart" in note for note in b.notes) == 1
+    assert sum("both get what is sent" in note for note in b.notes) == 1
+
+
+@pytest.mark.parametrize(("flavour", "head_start"), [("ardupilot", 0.0), ("ardupilot", 30.0), ("px4", 0.0)])
+def test_a_second_vehicle_behind_a_router_does_not_end_a_flight(bench, flavour, head_start):
+    b = bench(flavour=flavour, board=BOARD)
+    twin = Twin(b, flavour, address="")
+    twin.there = False
+    join = both_hear(b, twin)
+
+    async def mission(fc):
+        join()
+        await fc.execute("arm", [])
+        await fc.execute("takeoff", [5.0])
+        twin.fake.advance(head_start or STEP)
+        twin.fake.autopilot.vehicle.place = (700.0, 0.0, 0.0)
+        twin.there = True
+        await fc.execute("goTo", [40.0, 0.0, -5.0])
+        assert b.values["position"] == pytest.approx([40.0, 0.0, -5.0], abs=0.6)
+        for _ in range(50):
+            await asyncio.sleep(0.1)
+            assert b.values["armed"]
+        await fc.make_safe()
+        await b.until(lambda: not b.values["armed"])
+        assert not b.autopilot.armed
+
+    b.run(mission)
+    assert sum("both get what is sent" in note for note in b.notes) == 1
 
 
 def test_a_vehicle_that_was_swapped_in_a_moment_is_not_armed(bench):

@@ -5,7 +5,8 @@ from __future__ import annotations
 import pytest
 
 from lfield_mavlink.link.dialect import dialect
-from lfield_mavlink.link.sources import ASKS, BACKWARDS, LASTS, LISTENS, MOST, Board, Source, Sources
+from lfield_mavlink.link.sources import ASKS, BACKWARDS, LASTS, LISTENS, MOST, Source, Sources
+from lfield_mavlink.link.strands import Board
 
 A, B = Source(0, "10.0.0.5:14555"), Source(0, "10.0.0.6:14555")
 CABLE, RADIO = Source(0), Source(1)
@@ -274,3 +275,39 @@ def test_a_board_is_its_id_and_its_firmware():
     assert Board.of(version(uid=0x3F)).uid == "-3f"
     assert Board.of(version(uid2=b"\2", uid=0x3F)).uid == "02-3f"
     assert Board.of(version(firmware=1)) != Board.of(version(firmware=2))
+
+
+def numbered(message, number):
+    """A message with the number of its packet."""
+    writer = dialect.MAVLink(None, srcSystem=1, srcComponent=1)
+    writer.seq = number % 256
+    message.pack(writer)
+    return message
+
+
+@pytest.mark.parametrize("gap", [3, 100, 250])
+def test_packets_of_two_vehicles_behind_one_address_are_kept_apart(gap):
+    """By clocks, and where a message has none by its number; each sends 50 a second."""
+    s = Sources(1, ["udp:127.0.0.1:14550"])
+    believed = {True: [], False: []}
+    for step in range(500):
+        now = 0.02 * step
+        for first in (True, False) if step > 50 else (True,):
+            number, booted = (step, 100.0 + now) if first else (step + gap, 7.0 + now)
+            message = attitude(booted) if step % 5 == 0 else beat()
+            taken = s.on_packet(CABLE, numbered(message, number), now + 0.005 * (not first))
+            if step > 60:
+                believed[first].append(taken)
+    assert all(believed[True])
+    assert not any(believed[False])
+    assert len(s.events) == 1
+
+
+def test_a_restart_is_no_second_strand():
+    s = Sources(1, ["udp:127.0.0.1:14550"])
+    for step in range(200):
+        now = 0.05 * step if step < 100 else 0.05 * step + 1.5
+        booted = 50.0 + now if step < 100 else now - 6.0
+        message = attitude(booted) if step % 2 else beat()
+        assert s.on_packet(CABLE, numbered(message, step if step < 100 else step - 100), now)
+    assert s.events == []
