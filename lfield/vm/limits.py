@@ -32,6 +32,8 @@ from lfield.vm.scheduler import LATE, Scheduler
 TIME_LIMIT = "TimeLimitException"
 #: How soon it is looked again whether a `finally` that a limit must not cut has come to its end, in seconds.
 SOON = 0.05
+#: Why a limit is looked at late whose time was over while no program ran here.
+STOOD_STILL = "its host was paused, or stood still"
 #: The clocks are read in different units: so many ns make no difference.
 _SLACK = 1000
 
@@ -122,6 +124,8 @@ class TimeLimits:
         if agent.alarm != at or self._scheduler.agents.get(agent.id) is not agent:
             return
         agent.alarm = math.inf
+        if self._scheduler.clock.monotonic() - at >= LATE:
+            agent.late_since = STOOD_STILL
         w = agent.block.w
         around = [word for word, _ in self._around(agent)]
         later = [w[word] for word in around if not self._is_over(agent, word)]

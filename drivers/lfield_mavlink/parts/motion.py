@@ -9,7 +9,6 @@ from contextlib import suppress
 from lfield.driver import DeviceError
 from lfield_mavlink.contact.contact import SHOWS, Contact
 from lfield_mavlink.geo import Vector
-from lfield_mavlink.limits import BRAKES
 from lfield_mavlink.link.dialect import dialect
 from lfield_mavlink.modes import AUTONOMOUS
 from lfield_mavlink.monitors.flight_monitor import FlightMonitor
@@ -21,7 +20,7 @@ from lfield_mavlink.setpoints.guided_mode import GuidedMode
 from lfield_mavlink.setpoints.orders import Order, Patience, Stack, orders_for, reposition
 from lfield_mavlink.setpoints.speed import Speed
 from lfield_mavlink.setpoints.stream import SetpointStream
-from lfield_mavlink.setpoints.trajectory import Stay, Target, Trajectory
+from lfield_mavlink.setpoints.trajectory import Stay, Target, Trajectory, stopping_place
 
 #: Of what flies to a goal, and of what drives there.
 ON_ITS_WAY, DRIVES = Patience(), Patience(turning=40.0, detour=30.0)
@@ -35,12 +34,6 @@ PLACED = 0.5
 LEFT = 0.7
 #: m/s over ground with which a stop is followed.
 STAYS_AT = 1.0
-
-
-def stopping_place(place: Vector, velocity: Vector) -> Vector:
-    """Where it comes to rest when it brakes now: behind that, what steers like a car would drive a loop."""
-    way = math.hypot(*velocity[:2]) / (2.0 * BRAKES)
-    return place[0] + velocity[0] * way, place[1] + velocity[1] * way, place[2]
 
 
 class Motion:

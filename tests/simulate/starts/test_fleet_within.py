@@ -11,7 +11,6 @@ import pytest
 from lfield.host.team.absent import GRACE
 from lfield.mission.load import load_mission
 from lfield.simulate.fleet import Fleet, copies
-from lfield.wire.observing import Pause
 
 PROGRAM = """
 resource Post {
@@ -246,11 +245,32 @@ def test_a_finally_is_not_cut_short_and_the_exception_says_what_that_has_cost(tm
     assert re.match(rf"time limit: the time is over, (1\.9|2\.[01]) s late {why}", how), how
 
 
-def test_a_host_that_is_paused_does_not_keep_a_block_beyond_its_time(tmp_path: Path) -> None:
-    def pause(fleet: Fleet) -> None:
-        life = fleet.lives["bravo"]
-        life.process.loop.enter(lambda: life.host._enter(lambda: life.core.pause(on=True)))
+def paused(host: str, *, on: bool) -> Event:
+    """The mission is paused at a host, or resumed there."""
 
-    assert Pause().lift is False
-    seconds, how = ends(tmp_path, of(20.0, 20.0), {1.0: pause})
+    def happens(fleet: Fleet) -> None:
+        life = fleet.lives[host]
+        life.process.loop.enter(lambda: life.host._enter(lambda: life.core.pause(on=on)))
+
+    return happens
+
+
+@pytest.mark.parametrize(
+    ("body", "script"),
+    [
+        ("within (4.0) { sleep(20.0); }", {1.0: paused("alpha", on=True), 10.0: paused("alpha", on=False)}),
+        (of(20.0, 20.0), {1.0: process("carol", frozen=True), 10.0: lambda fleet: fleet.heal_all()}),
+    ],
+)
+def test_a_host_that_runs_no_programs_when_the_time_is_over_makes_the_block_late_and_that_is_said(
+    tmp_path: Path, body: str, script: dict[float, Event]
+) -> None:
+    seconds, how = ends(tmp_path, body, dict(script))
+    late = re.match(r"time limit: the time is over, ([0-9.]+) s late since its host was paused, or", how)
+    assert late is not None, how
+    assert float(late[1]) == pytest.approx(seconds - 4.0, abs=0.2)
+
+
+def test_a_host_that_is_paused_does_not_keep_a_block_beyond_its_time(tmp_path: Path) -> None:
+    seconds, how = ends(tmp_path, of(20.0, 20.0), {1.0: paused("bravo", on=True)})
     assert seconds == pytest.approx(4.0, abs=0.1), how
