@@ -53,7 +53,7 @@ LISTENED: Mapping[int, float] = {
     dialect.MAVLINK_MSG_ID_FENCE_STATUS: 1.0,
     dialect.MAVLINK_MSG_ID_MISSION_CURRENT: 2.0,
     # A lost position must be known within 2 s, also where packets are lost.
-    dialect.MAVLINK_MSG_ID_GPS_RAW_INT: 5.0,
+    dialect.MAVLINK_MSG_ID_GPS_RAW_INT: 6.0,
     dialect.MAVLINK_MSG_ID_EKF_STATUS_REPORT: 1.0,
     dialect.MAVLINK_MSG_ID_ESTIMATOR_STATUS: 1.0,
     # A foreign setpoint lasts until our next one: a second at most.

@@ -113,6 +113,11 @@ class FlightMonitor:
         """Whether what it tells of its place and speed is a drift, in the air or not."""
         return bool(self._position.lost(self._now))
 
+    @property
+    def commanded_by(self) -> str:
+        """Who else has just commanded it, to go after a mode that was not commanded here; '' for nobody."""
+        return f", commanded by {others}" if (others := self.others()) else ""
+
     def check_begin(self, what: str) -> None:
         """A motion is to begin. Raises DeviceError when it must not, or needs a position that is lost."""
         if self.crashed:

@@ -15,7 +15,7 @@ import math
 
 #: The least fix that gives a place: three-dimensional.
 FIX = 3
-#: Seconds since the last word of a fix that are a loss. With five words a second one that is away for a
+#: Seconds since the last word of a fix that are a loss. With six words a second one that is away for a
 #: second is back by then, and a loss is thrown within 2 s also where words come 0.5 s late.
 LASTS = 1.25
 #: Seconds for which a receiver's word counts.
@@ -52,7 +52,10 @@ class PositionMonitor:
         self._estimated = self._estimate_lost = False
 
     def lost(self, now: float) -> str:
-        """Why it does not know where it is, in words; '' while it does, or never told."""
+        """Why it does not know where it is, in words; '' while it does, or never told.
+
+        What a receiver has not said for OLD seconds does not count.
+        """
         fresh = [fix for fix, at in self._fixes.values() if now - at <= OLD]
         if now - self._fixed_at >= LASTS and fresh and max(fresh) < FIX:
             return f"its GPS has no fix any more (GPS_FIX_TYPE {max(fresh)})"

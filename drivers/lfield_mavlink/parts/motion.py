@@ -380,13 +380,9 @@ class Motion:
         if state.armed and state.mode in order.modes and not taken:
             return
         await self.failsafe.explains()
-        chosen = ", which its failsafe chose" if self.failsafe.has_it else ""
-        if not chosen and (others := self.monitor.others()):
-            chosen = f", commanded by {others}"
+        chosen = ", which its failsafe chose" if self.failsafe.has_it else self.monitor.commanded_by
         why = f"the vehicle went to {state.mode}{chosen}" if state.armed else "the motors are off"
         raise self._vehicle.error(f"{what} ended early: {why}{self._vehicle.reasons(start)}")
-
-    # -- limits ---------------------------------------------------------------------------------------
 
     async def slow_down(self, speed: float, why: str) -> None:
         """Have it fly slower, or, where setpoints say how fast, hold. Raises DeviceError."""
