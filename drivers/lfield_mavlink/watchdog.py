@@ -29,7 +29,6 @@ from lfield_mavlink.contact.contact import Contact
 from lfield_mavlink.link.station import station_of
 from lfield_mavlink.modes import ARDUPILOT, AUTONOMOUS, PX4
 from lfield_mavlink.services.parameters import Parameters
-from lfield_mavlink.setpoints.correction import PX4_ROVER_EXCESS
 
 #: Seconds that PX4 needs, beyond COM_DL_LOSS_T, to notice that its station is gone.
 NOTICES = 2.0
@@ -46,15 +45,14 @@ class Need:
     """One parameter that a binding needs.
 
     `names` are its names by version, any of which may be the one; without a name it is a time of the
-    autopilot's own, `otherwise`. It must be `value` (or that of the binding's safe state, or of the binding)
-    or have its bits (`bits`) and none of the bits `lacks`. A time (`clock`) is at most what is left of the
-    time that is wanted, at least `least` and never above `most`; times of one clock follow one another, and
-    `after` is what the later ones need at least; those of different clocks run side by side. A speed (`unit`,
-    in so many to a m/s) is at most the limit of the binding, and needed only where there is one, less
-    `excess` m/s by which the vehicle drives faster, but at least half. With `zero`, 0 is as good as any
-    number below the bound: no time at all, or no speed of its own. A need that is not `needed` may be
-    missing; it then counts `otherwise` seconds. `states` are the safe states it is for, by default all; a
-    `whole` time has no part of a second.
+    autopilot's own, `otherwise`. It must be `value` (or that of the binding's safe state, or of the
+    binding) or have its bits (`bits`) and none of the bits `lacks`. A time (`clock`) is at most what is
+    left of the time that is wanted, at least `least` and never above `most`; times of one clock follow
+    one another, and `after` is what the later ones need at least; those of different clocks run side by
+    side. A speed (`unit`, in so many to a m/s) is at most the limit of the binding, and needed only where
+    there is one. With `zero`, 0 is as good as any number below the bound: no time at all, or no speed of
+    its own. A need that is not `needed` may be missing; it then counts `otherwise` seconds. `states` are
+    the safe states it is for, by default all; a `whole` time has no part of a second.
     """
 
     names: tuple[str, ...] = ()
@@ -68,7 +66,6 @@ class Need:
     after: float = 0.0
     whole: bool = False
     unit: Mapping[str, float] | None = None
-    excess: float = 0.0
     zero: bool = False
     needed: bool = True
     otherwise: float = 0.0
@@ -83,8 +80,7 @@ class Need:
     def wanted(self, name: str, present: float, binding: DeviceBinding, left: float) -> float:
         """What it must be when it is `present`; `left` is what is left of its clock's time."""
         if self.unit is not None:
-            limit = binding.limits["speed"]
-            most = max(limit - self.excess, limit / 2.0) * self.unit[name]
+            most = binding.limits["speed"] * self.unit[name]
             return present if self._is_within(present, most) else 0.0 if self.zero else most
         if self.clock:
             most = min(self.most, max(self.least, left - self.after))
@@ -109,7 +105,8 @@ _STATION = Need(
     ("MAV_GCS_SYSID", "SYSID_MYGCS"),
     "its failsafe is for this station alone: another one, at 255, does not keep it from acting. That one "
     "still commands modes, missions and parameters, but its sticks (RC override, MANUAL_CONTROL) are "
-    "ignored. 'lfield setup --back' undoes that",
+    "ignored, and nobody can arm while this station is not heard ('GCS failsafe on'). "
+    "'lfield setup --back' undoes that",
     station_of,
 )
 _NO_OTHERS = Need(
@@ -193,10 +190,7 @@ NEEDS: Mapping[tuple[int, str], Sequence[Need]] = {
     (ARDUPILOT, "plane"): _PLANE,
     (ARDUPILOT, "submarine"): _SUBMARINE,
     (PX4, "copter"): (*_PX4, *_PX4_COPTER),
-    (PX4, "rover"): (
-        *_PX4,
-        Need(("RO_SPEED_LIM",), _LIMIT, unit={"RO_SPEED_LIM": 1.0}, excess=PX4_ROVER_EXCESS),
-    ),
+    (PX4, "rover"): (*_PX4, Need(("RO_SPEED_LIM",), _LIMIT, unit={"RO_SPEED_LIM": 1.0})),
     (PX4, "plane"): _PX4,
 }
 

@@ -82,6 +82,7 @@ def test_what_failed_is_told_and_counted():
     assert "PX4, host SIGKILL quiet: 1 of 3 trials failed" in out.file.getvalue()
 
 
+@pytest.mark.few(0)
 @pytest.mark.process
 @pytest.mark.timeout(400)
 def test_a_servo_stands_after_a_death_and_by_its_own_watchdog_after_that_of_both():

@@ -129,3 +129,27 @@ def test_without_pyserial_the_extra_is_named(monkeypatch):
     monkeypatch.setitem(sys.modules, "serial", None)
     with pytest.raises(DeviceError, match=r"needs pyserial: pip install 'lfield\[serial\]'"):
         SerialPort("/dev/null", 9600, None).open()
+
+
+def test_what_keeps_a_port_from_being_opened_again_is_logged_once(far, monkeypatch):
+    """It comes back under the same name, as `/dev/serial/by-id` has them, but another program has it."""
+
+    async def story():
+        line, rival = far.line(), far.line()
+        line.open()
+        far.unplug()
+        await until(lambda: any("is gone" in note for note in far.notes))
+        await until(lambda: any("No such file" in note for note in far.notes))
+        far.plug()
+        rival.open()
+        await until(lambda: any("in use by another program" in note for note in far.notes))
+        rival.close()
+        await until(lambda: far.notes[-1] == f"{far.path} is open again")
+        os.write(far.master, b"hello\n")
+        await until(lambda: far.frames == [b"hello"])
+        line.close()
+
+    monkeypatch.setattr("lfield.driver.serial.port.AGAIN", 0.01)
+    asyncio.run(story())
+    assert sum("No such file" in note for note in far.notes) == 1
+    assert sum("in use" in note for note in far.notes) == 1

@@ -6,12 +6,15 @@ loopback.
 
 from __future__ import annotations
 
+import subprocess
+import sys
 import time
+import uuid
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import pytest
-from namespaces import Network, Process, namespaces, network  # noqa: F401
+from namespaces import Network, Process, command, namespaces, network  # noqa: F401
 
 from lfield.testing.keys import Keyring
 
@@ -194,7 +197,7 @@ CASES = [
 ]
 
 
-@pytest.mark.few(2)
+@pytest.mark.few(1)
 @pytest.mark.parametrize("case", CASES, ids=lambda case: case.__name__)
 def test_a_link_comes_back(net, case):
     two, works_again = case(net)
@@ -209,3 +212,51 @@ def test_a_link_comes_back(net, case):
     ]
     print(f"{case.__name__}: linked again after {max(back):.1f} s", *two.a.lines, *two.b.lines, sep="\n")
     assert max(back) < PROMISE
+
+
+#: A link to an address that is none without its zone.
+ZONE = """
+import asyncio
+from lfield_mavlink.link.links import make_link
+from lfield_can.bus.socketcand import open_socketcand
+from lfield_can.bus.endpoint import parse_endpoint
+from lfield_can.bus.frames import Listener
+
+async def serve(reader, writer):
+    writer.write(b"< hi >")
+    while data := await reader.read(99):
+        writer.write(b"< ok >")
+
+async def main():
+    server = await asyncio.start_server(serve, "fe80::7%zone0", 0)
+    port, got = server.sockets[0].getsockname()[1], bytearray()
+    link = make_link(f"tcp:[fe80::7%zone0]:{port}", got.extend)
+    await link.open()
+    while not got:
+        await asyncio.sleep(0.01)
+    print("mavlink linked")
+    nothing = lambda *_: None
+    place = parse_endpoint(f"socketcand:[fe80::7%zone0]:{port}/can0")
+    await open_socketcand(place, Listener(nothing, nothing, nothing))
+    print("socketcand linked", flush=True)
+    link.close()
+
+asyncio.run(asyncio.wait_for(main(), 20))
+"""
+
+
+def test_an_address_keeps_its_zone(request):
+    if not request.getfixturevalue("namespaces"):
+        pytest.skip("no network namespace can be made here")
+    name = f"lf-{uuid.uuid4().hex[:8]}"
+    command("ip", "netns", "add", name)
+    try:
+        command("ip", "-n", name, "link", "add", "name", "zone0", "type", "veth", "peer", "name", "zone1")
+        for end in ("lo", "zone0", "zone1"):
+            command("ip", "-n", name, "link", "set", "dev", end, "up")
+        command("ip", "-n", name, "addr", "add", "fe80::7/64", "dev", "zone0", "nodad")
+        words = ["ip", "netns", "exec", name, sys.executable, "-c", ZONE]
+        done = subprocess.run(words, capture_output=True, text=True)
+        assert done.stdout == "mavlink linked\nsocketcand linked\n", done.stderr
+    finally:
+        command("ip", "netns", "del", name)

@@ -31,7 +31,7 @@ from lfield.simulate.weather import Weather
 from lfield.vm.memory.layout import W_GENERATION
 
 
-@pytest.mark.few(2)
+@pytest.mark.few(1)
 @pytest.mark.parametrize("first", range(0, 96, 24))
 def test_stories_of_all_kinds_of_weather_keep_every_promise(first: int) -> None:
     struck: Counter[str] = Counter()
@@ -142,6 +142,7 @@ def test_a_story_is_the_same_in_every_process() -> None:
     assert told(12).digest != told(11).digest
 
 
+@pytest.mark.few(0)
 def test_a_breach_is_told_with_the_command_that_repeats_it_and_made_smaller(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

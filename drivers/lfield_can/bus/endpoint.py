@@ -24,7 +24,7 @@ SYNTAX = (
 Value = bool | int | float | str
 
 _SOCKETCAND = re.compile(
-    r"(?P<host>[^/:]+|\[[0-9a-fA-F:]+\]):(?P<port>[0-9]{1,5})/(?P<channel>[A-Za-z0-9_.-]+)"
+    r"(?P<host>[^/:]+|\[[0-9a-fA-F:.]+(?:%[^\]/]+)?\]):(?P<port>[0-9]{1,5})/(?P<channel>[A-Za-z0-9_.-]+)"
 )
 _SLCAN = re.compile(r"(?P<tty>/[^@?]+)(@(?P<baud>[0-9]{2,8}))?")
 

@@ -11,7 +11,7 @@ import socket
 from typing import cast
 
 from lfield.driver import DeviceError
-from lfield.driver.network import Lookup, keep_alive
+from lfield.driver.network import Lookup, connected
 from lfield_can.bus.endpoint import Place
 from lfield_can.bus.frames import GONE, Frame, Listener
 
@@ -35,29 +35,17 @@ async def open_socketcand(place: Place, listener: Listener) -> Socketcand:
     """Connect and open the bus of an endpoint. Raises DeviceError."""
     assert place.server is not None
     lookup = _lookups.setdefault(place.server, Lookup(*place.server, socket.SOCK_STREAM))
+    client = Socketcand(listener)
     try:
-        found = await lookup.addresses(ANSWER)
+        client, _ = await connected(lookup, ANSWER, lambda: Socketcand(listener))
+        async with asyncio.timeout(ANSWER):
+            await client.greet(str(place.arguments["channel"]))
     except OSError as error:
-        raise _cannot_open(place, error.strerror or str(error)) from None
-    reasons: dict[str, None] = {}
-    for _, address in found:
-        client = Socketcand(listener)
-        try:
-            async with asyncio.timeout(ANSWER):
-                await client.connect(str(address[0]), place.server[1])
-                await client.greet(str(place.arguments["channel"]))
-        except TimeoutError:
-            reasons["timed out"] = None
-        except OSError as error:
-            reasons[error.strerror or str(error)] = None
-        else:
-            return client
         await client.close()
-    raise _cannot_open(place, "; ".join(reasons))
-
-
-def _cannot_open(place: Place, reason: str) -> DeviceError:
-    return DeviceError("endpoint", f"cannot open {place.text}: {reason}")
+        # A TimeoutError of asyncio says nothing.
+        reason = error.strerror or str(error) or f"no greeting within {ANSWER:g} s"
+        raise DeviceError("endpoint", f"cannot open {place.text}: {reason}") from None
+    return client
 
 
 class Socketcand(asyncio.Protocol):
@@ -72,10 +60,6 @@ class Socketcand(asyncio.Protocol):
         self._transport: asyncio.Transport | None = None
         self._unread = b""
         self._answers: asyncio.Queue[bytes] | None = asyncio.Queue()
-
-    async def connect(self, host: str, port: int) -> None:
-        """Connect to a server. Raises OSError."""
-        await asyncio.get_running_loop().create_connection(lambda: self, host, port)
 
     async def greet(self, channel: str) -> None:
         """Open a bus and have all its frames. Raises ConnectionError."""
@@ -129,8 +113,6 @@ class Socketcand(asyncio.Protocol):
         self._transport = cast(asyncio.Transport, transport)  # uvloop's is no subclass of it
         connection = transport.get_extra_info("socket")
         connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, BACKLOG)
-        # A bus may be silent for ever, and the protocol has no heartbeat.
-        keep_alive(connection)
 
     def connection_lost(self, exc: Exception | None) -> None:
         """The server has hung up, unless we have."""

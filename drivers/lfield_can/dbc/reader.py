@@ -27,6 +27,8 @@ _MOST_BITS = 64
 ANY_SOURCE = 0xFE
 
 _NUMBER = r"[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?"
+#: An end of a range, which some tools write as no number where there is none.
+_END = rf"{_NUMBER}(?![.#0-9])|[-+]?(?i:inf(?:inity)?|nan|[0-9]\.#(?:INF|IND|QNAN|SNAN)[0-9]*)"
 _MESSAGE = re.compile(r"\s*(?P<id>[0-9]+)[ \t]*(?P<name>[^\s:]*)[ \t]*:[ \t]*(?P<length>[0-9]+)(?=\s|$)")
 _MESSAGE_FORM = "write BO_ ID NAME: LENGTH SENDER, as in BO_ 256 Motor: 8 Host"
 #: The parts of a signal, each with what it is called in an error.
@@ -42,7 +44,7 @@ _SIGNAL_PARTS = (
         "its factor and offset, as (0.1,0)",
     ),
     (
-        re.compile(rf"\s*\[\s*(?P<low>{_NUMBER})?\s*\|\s*(?P<high>{_NUMBER})?\s*\]"),
+        re.compile(rf"\s*\[\s*(?P<low>{_END})?\s*\|\s*(?P<high>{_END})?\s*\]"),
         "its range, as [0|100]",
     ),
     (re.compile(r'\s*"(?P<unit>(?:[^"\\\n]|\\.)*)"'), "its unit in double quotes"),
@@ -298,7 +300,7 @@ class _Reader:
         scale = float(parts["scale"])
         if not scale:
             self._found.add(findings.NO_SCALE.at(span, signal=name))
-        low, high = (float(parts[end]) if end in parts else None for end in ("low", "high"))
+        low, high = (_end(parts.get(end, "")) for end in ("low", "high"))
         if low is not None and high is not None and low >= high:
             if low > high:
                 self._found.add(findings.NO_RANGE.at(span, signal=name, low=parts["low"], high=parts["high"]))
@@ -386,6 +388,11 @@ class _Reader:
 
     def _twice(self, what: str, name: str, span: Span, first: Span) -> None:
         self._found.add(findings.TWICE.at(span, what=what, name=name, line=first.line))
+
+
+def _end(text: str) -> float | None:
+    """An end of a range; None where the file gives none."""
+    return float(text) if re.fullmatch(_NUMBER, text) else None
 
 
 def _bytes(count: int) -> str:

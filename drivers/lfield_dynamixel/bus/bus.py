@@ -19,6 +19,8 @@ from lfield_dynamixel.bus.packets import AnyProtocol, EchoFilter, Reader, Status
 
 #: Seconds that a servo and this computer may take beyond what the wire needs.
 SLACK = 0.025
+#: How often at most it is looked whether the adapter returns what is sent.
+SEARCHES = 3
 
 #: How urgent an exchange is.
 SAFETY, COMMAND, POLL = range(3)
@@ -150,11 +152,16 @@ class Bus:
         async with self._search:
             if self._echo is not None or self.gone:
                 return
-            exchange = self._exchange(protocol, harmless(protocol), (0,), 0, listens=True)
-            await self._carried_out(exchange, urgency)
+            for _ in range(SEARCHES):
+                exchange = self._exchange(protocol, harmless(protocol), (0,), 0, listens=True)
+                await self._carried_out(exchange, urgency)
+                echoes = exchange.packet in exchange.heard
+                # What came may be an echo that was damaged, as of the first bytes after a port was opened.
+                if echoes or not exchange.heard:
+                    break
             if exchange.sent and not self.gone:
-                self._echo, self._echoes = EchoFilter(), exchange.packet in exchange.heard
-                if self._echoes:
+                self._echo, self._echoes = EchoFilter(), echoes
+                if echoes:
                     self._on_echo()
 
     def _exchange(

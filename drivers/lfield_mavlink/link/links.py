@@ -87,7 +87,8 @@ class SerialLink:
     """A serial port; when its buffer is full, or it is away, a packet is lost, which MAVLink survives."""
 
     def __init__(self, path: str, baud: int, on_data: OnData, events: LinkEvents) -> None:
-        self._on_data, self._events, self.port = on_data, events, SerialPort(path, baud, self)
+        self._on_data, self._events = on_data, events
+        self.port = SerialPort(path, baud, self, tried=events.note)
 
     async def open(self) -> None:
         """Open and configure the port, now."""

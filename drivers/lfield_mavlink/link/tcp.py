@@ -7,7 +7,7 @@ from contextlib import suppress
 from socket import SOCK_STREAM
 from typing import cast
 
-from lfield.driver.network import Attempts, Lookup, keep_alive
+from lfield.driver.network import Attempts, Lookup, connected
 from lfield_mavlink.link.events import AGAIN, ATTEMPT, LinkEvents, OnData, cannot_open, name_of, reason_of
 
 #: Seconds without a byte after which a connection is given up: an autopilot's heartbeat comes each second.
@@ -20,7 +20,7 @@ class TcpLink:
     """A connection to a vehicle, a radio or a router."""
 
     def __init__(self, host: str, port: int, on_data: OnData, events: LinkEvents) -> None:
-        self._lookup, self._port = Lookup(host, port, SOCK_STREAM), port
+        self._lookup = Lookup(host, port, SOCK_STREAM)
         self._on_data, self._events = on_data, events
         self._name = name_of("tcp", self._lookup.host, port)
         self._attempts = Attempts(self._name)
@@ -38,23 +38,9 @@ class TcpLink:
 
     async def _connect(self) -> _Connection:
         """To the first of its addresses that answers. Raises OSError."""
-        loop = asyncio.get_running_loop()
-        failures: list[str] = []
-        for _, address in await self._lookup.addresses(ATTEMPT):
-            try:
-                async with asyncio.timeout(ATTEMPT):
-                    transport, made = await loop.create_connection(
-                        lambda: _Connection(self._on_data), str(address[0]), self._port
-                    )
-            except TimeoutError:
-                failures.append(f"{address[0]}: no answer within {ATTEMPT:g} s")
-            except OSError as error:
-                failures.append(f"{address[0]}: {reason_of(error)}")
-            else:
-                made.where = str(address[0])
-                keep_alive(transport.get_extra_info("socket"))
-                return made
-        raise OSError("; ".join(failures))
+        made, where = await connected(self._lookup, ATTEMPT, lambda: _Connection(self._on_data))
+        made.where = where
+        return made
 
     async def _keep(self, connection: _Connection) -> None:
         """Wait until the connection is lost, and open it again, until cancelled."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import math
+from contextlib import suppress
 from typing import Any
 
 from lfield.driver import DeviceError
@@ -182,6 +183,10 @@ class Flight:
             await self._go_off("returnHome")
             return
         arrival = await self._motion.arrival()
+        if self._vehicle.profile.px4:
+            # It would drive faster than its own parameter. One that takes no speed returns all the same.
+            with suppress(DeviceError):
+                await self._motion.speed.keep_wanted()
 
         def left(place: Vector) -> float:
             far = math.hypot(*place[:2])

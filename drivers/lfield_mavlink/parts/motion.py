@@ -9,7 +9,6 @@ from contextlib import suppress
 from lfield.driver import DeviceError
 from lfield_mavlink.contact.contact import SHOWS, Contact
 from lfield_mavlink.geo import Vector
-from lfield_mavlink.limits import BRAKES
 from lfield_mavlink.link.dialect import dialect
 from lfield_mavlink.modes import AUTONOMOUS
 from lfield_mavlink.monitors.flight_monitor import FlightMonitor
@@ -21,7 +20,7 @@ from lfield_mavlink.setpoints.guided_mode import GuidedMode
 from lfield_mavlink.setpoints.orders import Order, Patience, Stack, orders_for, reposition
 from lfield_mavlink.setpoints.speed import Speed
 from lfield_mavlink.setpoints.stream import SetpointStream
-from lfield_mavlink.setpoints.trajectory import Stay, Target, Trajectory
+from lfield_mavlink.setpoints.trajectory import Stay, Target, Trajectory, stopping_place
 
 #: Of what flies to a goal, and of what drives there.
 ON_ITS_WAY, DRIVES = Patience(), Patience(turning=40.0, detour=30.0)
@@ -35,12 +34,6 @@ PLACED = 0.5
 LEFT = 0.7
 #: m/s over ground with which a stop is followed.
 STAYS_AT = 1.0
-
-
-def stopping_place(place: Vector, velocity: Vector) -> Vector:
-    """Where it comes to rest when it brakes now: behind that, what steers like a car would drive a loop."""
-    way = math.hypot(*velocity[:2]) / (2.0 * BRAKES)
-    return place[0] + velocity[0] * way, place[1] + velocity[1] * way, place[2]
 
 
 class Motion:
@@ -78,8 +71,7 @@ class Motion:
         if self.failsafe.has_it or self.monitor.foreign or not self._state.armed:
             return not self._state.armed
         profile = self._vehicle.profile
-        # What it does by itself ends on the ground; in the air, and while a rover follows setpoints, somebody
-        # has chosen that mode.
+        # What it does by itself ends on the ground; in the air, or instead of setpoints, somebody chose it.
         by_itself = self._state.landed if profile.flies else self._commanded != {profile.guided}
         own = profile.own if by_itself else ()
         return self._state.mode in (profile.guided, *own, *self._commanded)
@@ -389,8 +381,8 @@ class Motion:
             return
         await self.failsafe.explains()
         chosen = ", which its failsafe chose" if self.failsafe.has_it else ""
-        others = "" if self.failsafe.has_it else self.monitor.others()
-        chosen = chosen or (f", commanded by {others}" if others else "")
+        if not chosen and (others := self.monitor.others()):
+            chosen = f", commanded by {others}"
         why = f"the vehicle went to {state.mode}{chosen}" if state.armed else "the motors are off"
         raise self._vehicle.error(f"{what} ended early: {why}{self._vehicle.reasons(start)}")
 

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 from lfield_mavlink.geo import Vector
+from lfield_mavlink.limits import BRAKES
 from lfield_mavlink.link.dialect import AUTOPILOT, dialect
 from lfield_mavlink.setpoints.correction import SpeedCorrection
 
@@ -249,3 +250,12 @@ def _underway(place: Vector, velocity: Vector, goal: Vector) -> tuple[Vector, fl
     share = min(1.0, along * FOLLOWS / left)
     north, east, down = (p + w * share for p, w in zip(place, way, strict=True))
     return (north, east, down), along
+
+
+def stopping_place(place: Vector, velocity: Vector) -> Vector:
+    """Where a vehicle comes to rest when it brakes now, in metres of home.
+
+    To a place behind that one, a rover that steers like a car would drive a loop.
+    """
+    way = math.hypot(*velocity[:2]) / (2.0 * BRAKES)
+    return place[0] + velocity[0] * way, place[1] + velocity[1] * way, place[2]

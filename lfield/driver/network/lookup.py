@@ -5,12 +5,16 @@ from __future__ import annotations
 import asyncio
 import ipaddress
 import socket
-from typing import Any
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, TypeVar
 
+from lfield.connecting import first_connected
 from lfield.loop import Simulated
 
 #: An address as sockets have it: host and port, and with IPv6 a flow and a scope.
 Address = tuple[Any, ...]
+
+P = TypeVar("P", bound=asyncio.BaseProtocol)
 
 #: Seconds of silence after which the kernel probes the other end, between two probes, and how many of them;
 #: and milliseconds for which sent bytes may stay unacknowledged.
@@ -26,7 +30,7 @@ class Lookup:
     """One host's addresses. One question at a time: a resolver that hangs takes no second thread."""
 
     def __init__(self, host: str, port: int, kind: socket.SocketKind) -> None:
-        self.host, self._port, self._kind = unbracketed(host), port, kind
+        self.host, self.port, self._kind = unbracketed(host), port, kind
         self._asking: asyncio.Future[Any] | None = None
 
     @property
@@ -42,9 +46,9 @@ class Lookup:
         """Families and addresses, the preferred first. Raises OSError, a TimeoutError after `within` s."""
         loop = asyncio.get_running_loop()
         if isinstance(loop, Simulated):
-            return [(socket.AF_INET, (self.host, self._port))]
+            return [(socket.AF_INET, (self.host, self.port))]
         if self._asking is None or self._asking.done():
-            self._asking = asyncio.ensure_future(loop.getaddrinfo(self.host, self._port, type=self._kind))
+            self._asking = asyncio.ensure_future(loop.getaddrinfo(self.host, self.port, type=self._kind))
         asking = self._asking
         await asyncio.wait([asking], timeout=within)
         if not asking.done():
@@ -53,10 +57,44 @@ class Lookup:
         return list(dict.fromkeys((family, tuple(address)) for family, _, _, _, address in asking.result()))
 
 
-def keep_alive(connection: Any) -> None:
-    """Have the kernel end a TCP connection whose path is dead, within some 5 s; not a simulated one."""
-    if isinstance(asyncio.get_running_loop(), Simulated):
-        return
+async def connected(lookup: Lookup, within: float, make: Callable[[], P]) -> tuple[P, str]:
+    """A TCP connection to the first address that answers, and that address. `make` makes the protocol.
+
+    The next address is tried STAGGER s after the last. The name may take `within` seconds, and all of its
+    addresses together as long again. The kernel ends a connection
+    whose path is dead within 5 s. Raises OSError.
+    """
+    loop = asyncio.get_running_loop()
+    if isinstance(loop, Simulated):
+        async with asyncio.timeout(within):
+            _, protocol = await loop.create_connection(make, lookup.host, lookup.port)
+        return protocol, lookup.host
+    found = await lookup.addresses(within)
+    failures: dict[tuple[int, Address], Exception] = {}
+    try:
+        async with asyncio.timeout(within):
+            made, (_, address) = await first_connected(found, failures)
+    except TimeoutError:
+        raise TimeoutError(_why(found, failures, f"no answer within {within:g} s")) from None
+    except OSError:
+        raise OSError(_why(found, failures, "")) from None
+    _keep_alive(made)
+    _, protocol = await loop.create_connection(make, sock=made)
+    return protocol, _numeric(address)
+
+
+def _why(found: Sequence[tuple[int, Address]], failures: Mapping[Any, Exception], silent: str) -> str:
+    """What came of each address."""
+    reasons = {at: getattr(error, "strerror", None) or str(error) for at, error in failures.items()}
+    return "; ".join(f"{_numeric(at[1])}: {reasons.get(at, silent)}" for at in found)
+
+
+def _numeric(address: Address) -> str:
+    """`fe80::1%eth0`: an address with its zone."""
+    return socket.getnameinfo(address, socket.NI_NUMERICHOST | socket.NI_NUMERICSERV)[0]
+
+
+def _keep_alive(connection: socket.socket) -> None:
     for option, value in (
         (socket.TCP_KEEPIDLE, _IDLE),
         (socket.TCP_KEEPINTVL, _INTERVAL),

@@ -10,6 +10,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, Protocol
 
+from lfield.driver.network.attempts import Attempts
 from lfield.errors import DeviceError
 from lfield.loop import SerialEnd, Simulated
 
@@ -51,7 +52,8 @@ class SerialPort:
     """A tty, 8 bits and 1 stop bit. It is locked, so that no second program mixes its bytes in.
 
     `note` wants a USB adapter to pass bytes on within a millisecond, for requests that wait for answers: it
-    is told when the adapter does not. `latency` is how long bytes may be held back then, in seconds.
+    is told when the adapter does not. `latency` is how long bytes may be held back then, in seconds. `tried`
+    (or else `note`) gets a line when a port that was unplugged cannot be opened again, for each reason one.
     """
 
     def __init__(
@@ -62,9 +64,11 @@ class SerialPort:
         note: Callable[[str], None] | None = None,
         *,
         parity: str = "N",
+        tried: Callable[[str], None] | None = None,
     ) -> None:
         self.path, self.baud, self._parity = path, baud, parity
         self._events, self._note = events, note
+        self._tried = tried or note or (lambda text: None)
         self._port: SerialEnd | None = None
         self._task: asyncio.Task[None] | None = None
         self.latency = 0.0
@@ -144,11 +148,15 @@ class SerialPort:
         self._events.lost(f"{self.path} is gone ({reason})")
 
     async def _reattach(self) -> None:
-        make = _pyserial()
+        make, attempts = _pyserial(), Attempts(f"serial:{self.path}")
+        loop = asyncio.get_running_loop()
         while self._port is None:
             await asyncio.sleep(AGAIN)
-            with suppress(OSError, ValueError, termios.error):
+            try:
                 self._attach(make)
+            except (OSError, ValueError, termios.error) as error:
+                if line := attempts.failed(self._reason(error), loop.time()):
+                    self._tried(line)
         self._events.back()
 
     def _detach(self) -> None:

@@ -1,1 +1,1 @@
-"""Ways to a host and from it: names, attempts to connect, back-off, listening sockets."""
+"""Ways to a host and from it: names, calls, back-off, listening sockets."""

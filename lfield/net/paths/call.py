@@ -6,8 +6,8 @@ import asyncio
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
+from lfield.connecting import first_connected
 from lfield.errors import AddressError, LfieldError
-from lfield.net.paths.attempts import first_connected
 from lfield.net.paths.names import Found, looked_up
 from lfield.net.paths.reasons import refusal
 from lfield.net.stream import socket_address

@@ -100,6 +100,8 @@ class Autopilot(Pilot):
         rule = self.flavour.gcs
         if rule.forbids and self.failsafes.station_lost:
             return Unfit((rule.refusal,) if rule.refusal else None)
+        if self.failsafes.battery_acted and self.flavour.battery_refusal:
+            return Unfit((self.flavour.battery_refusal,))
         if self.failsafes.fences.breach and self.flavour.submodes:
             return Unfit(())
         if not (self.flies or self.flavour.submodes or self.kind.modes[self.mode].armable):

@@ -229,6 +229,9 @@ class Flavour:
     idle_text           said when it disarms because nothing follows an arming
     drifts              home's height moves with GNSS while it flies
     blind               what it does without GPS
+    battery_text        said when the failsafe of the battery acts
+    battery_refusal     why it is not armed after that
+    thrust_loss         said when it sinks for want of power
     """
 
     name: str
@@ -279,6 +282,9 @@ class Flavour:
     airborne_text: str = ""
     drifts: bool = False
     blind: BlindRule = SEES_ON
+    battery_text: str = ""
+    battery_refusal: str = ""
+    thrust_loss: str = ""
 
 
 @dataclass(frozen=True, slots=True)

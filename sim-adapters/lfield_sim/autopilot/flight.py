@@ -114,7 +114,7 @@ _MODES: Mapping[Role, Callable[[Pilot], None]] = {
 
 
 def _lack_power(pilot: Pilot) -> None:
-    """A copter with a weak motor sinks, and says so after a while."""
+    """A copter with a weak motor sinks, and an ArduCopter says so after a while."""
     weak = pilot.flies and pilot.armed and pilot.vehicle.airborne and pilot.motor_power < HOLDS
     pilot.vehicle.sags = (HOLDS - pilot.motor_power) / (HOLDS - WEAK) * SAGS if weak else 0.0
     if not weak:
@@ -122,7 +122,8 @@ def _lack_power(pilot: Pilot) -> None:
     elif pilot.weak_at == math.inf:
         pilot.weak_at = pilot.now
     elif -math.inf < pilot.weak_at < pilot.now - TELLS:
-        pilot.say("Potential Thrust Loss (1)")
+        if pilot.flavour.thrust_loss:
+            pilot.say(pilot.flavour.thrust_loss)
         pilot.weak_at = -math.inf
 
 
@@ -139,6 +140,6 @@ def suffer(pilot: Pilot) -> None:
         pilot.say("Crash: Disarming")
         pilot.disarm(force=True)
     elif vehicle.airborne:
-        if not falling:
-            pilot.say("Potential Thrust Loss (1)")
+        if not falling and pilot.flavour.thrust_loss:
+            pilot.say(pilot.flavour.thrust_loss)
         vehicle.goal, vehicle.yaw_rate_goal = Fall(), math.tau

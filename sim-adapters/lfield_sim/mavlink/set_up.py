@@ -50,9 +50,6 @@ def set_up(
     if flavour == "ardupilot":
         found |= {"MAV_GCS_SYSID": station, "MAV_GCS_SYSID_HI": 0}
     known = FLAVOURS[flavour][kind].parameters
-    if speed is not None and (flavour, kind) == ("px4", "rover"):
-        # It drives so much faster than that.
-        speed = max(speed - 0.45, speed / 2.0)
     for name, unit in _SPEEDS[flavour, kind].items() if speed is not None else ():
         assert speed is not None
         found[name] = min(speed * unit, known.get(name, speed * unit))

@@ -241,6 +241,13 @@ def test_forms_of_ids(read, id, frame):
     assert file.decode(frame._replace(data=bytes([7]), extended=not frame.extended)) is None
 
 
+@pytest.mark.parametrize("none", ["-1.#INF|1.#INF", "-inf|INF", "nan|nan", "1.#QNAN|-1.#IND00", "|"])
+def test_ends_of_a_range_that_are_no_numbers_are_none(read, none):
+    file = read(f'{HEAD}BO_ 9 Arm: 1 X\n SG_ x : 0|8@1+ (1,0) [{none}] "" X\n')
+    assert (file.signal("Arm", "x").minimum, file.signal("Arm", "x").maximum) == (None, None)
+    assert file.warnings == ()
+
+
 # -- bits --------------------------------------------------------------------------------------------------
 
 

@@ -59,6 +59,31 @@ def test_an_adapter_with_an_echo_is_used_as_one_without(protocol, ids):
     assert not any("does not answer" in note for note in b.notes)
 
 
+@pytest.mark.parametrize("damaged", [1, 2])
+def test_a_damaged_first_echo_hides_no_echo(damaged):
+    """The first bytes after a port was opened may be anything."""
+    b = bench(1, 1)
+    b.fault("echo=true")
+    left = [damaged]
+
+    async def story(servo):
+        received = b.port.events.received
+
+        def first_wrong(data):
+            if left[0]:
+                left[0] -= 1
+                data = bytes([data[0] ^ 0x40]) + data[1:]
+            received(data)
+
+        b.port.events.received = first_wrong
+        await servo.open()
+        await call(servo, "torque", True)
+        await call(servo, "moveTo", 0.4)
+
+    b.run(story, opened=False)
+    assert b.notes.count(ECHO) == 1
+
+
 @pytest.mark.parametrize("protocol", [1, 2])
 def test_without_an_echo_nothing_is_said_of_it(protocol):
     b = bench(protocol, 1)

@@ -98,7 +98,7 @@ def resolving(monkeypatch, *answers):
             raise answer
         family = socket.AF_INET6 if ":" in answer else socket.AF_INET
         found = await asyncio.get_running_loop().getaddrinfo(
-            answer, self._port, type=self._kind, family=family
+            answer, self.port, type=self._kind, family=family
         )
         return [(found[0][0], tuple(found[0][4]))]
 
@@ -294,3 +294,32 @@ def test_what_the_log_says_of_attempts_is_said_once_in_a_while():
     assert line == "tcp:10.0.0.5:5760 is open again: connected to 10.0.0.6, after 62 attempts and 62 s"
     tries.works()
     assert tries.lost("it hung up", 64.0) != ""
+
+
+def test_of_many_addresses_that_do_not_answer_none_delays_the_one_that_does(monkeypatch):
+    async def talk():
+        story = Story()
+        async with tcp_server("127.0.0.1") as (_, port):
+            with socket.socket() as hole:
+                # Its queue is full: nothing is answered.
+                hole.bind(("127.0.0.9", port))
+                hole.listen(0)
+                callers = [socket.socket() for _ in range(3)]
+                for caller in callers:
+                    caller.setblocking(False)
+                    caller.connect_ex(hole.getsockname())
+                silent = [(socket.AF_INET, ("127.0.0.9", port))] * 6
+
+                async def addresses(self, within):
+                    return [*silent, (socket.AF_INET, ("127.0.0.1", port))]
+
+                monkeypatch.setattr(Lookup, "addresses", addresses)
+                link = story.link(f"tcp:robot.local:{port}")
+                await link.open()
+                await until(lambda: story.got)
+                link.close()
+                for caller in callers:
+                    caller.close()
+
+    monkeypatch.setattr("lfield.connecting.STAGGER", 0.01)
+    asyncio.run(talk())

@@ -150,6 +150,7 @@ def test_setpoints_of_another_station_to_px4_in_offboard_are_a_takeover(bench):
     b.run(mission)
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("flavour", STACKS)
 def test_own_goals_one_after_another_on_a_bad_link_are_nobody_elses(bench, flavour):
     b = bench(flavour=flavour, faults=("loss=0.2", "delay=0.25"), limits={"speed": 3.0}, ttl=1.0)
@@ -168,6 +169,7 @@ def test_own_goals_one_after_another_on_a_bad_link_are_nobody_elses(bench, flavo
 # -- falls and crashes --------------------------------------------------------------------------------
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize("flavour", STACKS)
 @pytest.mark.parametrize("goal", [(60.0, 0.0, -8.0), (60.0, 0.0, -20.0)])
 def test_a_weak_motor_ends_a_motion_well_before_the_ground(bench, flavour, goal):
@@ -213,6 +215,7 @@ def test_a_forced_disarm_in_flight_is_a_crash_and_nothing_arms_it_again(bench, f
     b.run(mission)
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("flavour", STACKS)
 def test_ordinary_landings_and_low_speeds_are_no_crashes(bench, flavour):
     b = bench(flavour=flavour, limits={"speed": 3.0}, waivers=("device_watchdog", "autonomous_motion"))
@@ -239,6 +242,7 @@ def test_ordinary_landings_and_low_speeds_are_no_crashes(bench, flavour):
 # -- position -----------------------------------------------------------------------------------------
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize("flavour", STACKS)
 def test_a_lost_gps_ends_a_motion_within_two_seconds_and_nothing_is_ordered(bench, flavour):
     b = bench(flavour=flavour, limits={"speed": 3.0, "radius": 100.0})
@@ -261,6 +265,7 @@ def test_a_lost_gps_ends_a_motion_within_two_seconds_and_nothing_is_ordered(benc
     assert b.lock_outs == []
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize("flavour", STACKS)
 @pytest.mark.parametrize("state", ["hold", "return", "land"])
 def test_a_safe_state_without_a_position_is_a_landing(bench, flavour, state):

@@ -1,4 +1,4 @@
-"""A lost position: what ends, what is refused, what goes on; a second without a fix, and a second receiver."""
+"""A lost position: what ends, what is refused, what goes on; a second without a fix, a second receiver."""
 
 from __future__ import annotations
 

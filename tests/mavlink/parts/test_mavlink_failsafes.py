@@ -197,3 +197,34 @@ def test_what_is_said_of_a_failsafe_that_does_nothing_takes_nothing(bench):
         await fc.execute("setVelocity", [1.0, 0.0, 0.0])
 
     b.run(mission)
+
+
+def test_a_battery_failsafe_is_left_alone_until_release_and_then_guided_is_flown(bench):
+    """As the real one (gauntlet-a): GUIDED is obeyed again, it stays CRITICAL, and is not armed after it."""
+    b = bench(limits={"speed": 3.0})
+    b.autopilot.parameters |= {"BATT_FS_LOW_ACT": 1, "BATT_LOW_MAH": 660}
+
+    async def mission(fc):
+        await fc.execute("arm", [])
+        await fc.execute("takeoff", [6.0])
+        asyncio.get_running_loop().call_later(3.0, b.faults.apply, ["battery=0.19"])
+        with pytest.raises(
+            DeviceError, match=r"went to LAND, which its failsafe chose, Battery 1 is low .*, Batt"
+        ):
+            await fc.execute("goTo", [60.0, 0.0, -6.0])
+        assert (b.values["mode"], b.values["failsafe"]) == ("LAND", True), "read where it is caught"
+        assert fc.taken_over()
+        with pytest.raises(
+            DeviceError, match=r"goTo refused: .* its failsafe has it .*release\(\) takes it back"
+        ):
+            await fc.execute("goTo", [0.0, 0.0, -6.0])
+        await fc.execute("release", [])
+        await fc.execute("goTo", [12.0, 0.0, -6.0])
+        assert b.values["failsafe"] is True
+        assert not fc.taken_over(), "it acts once"
+        await fc.execute("land", [])
+        with pytest.raises(DeviceError, match=r"arm refused: .*Battery failsafe"):
+            await fc.execute("arm", [])
+
+    b.run(mission)
+    assert b.lock_outs == []

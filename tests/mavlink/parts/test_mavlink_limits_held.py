@@ -66,6 +66,7 @@ async def tour(b, fc, *, flies, circles):
     await fc.execute("returnHome", [])
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize("flavour", ["ardupilot", "px4"])
 @pytest.mark.parametrize("kind", ["copter", "rover"])
 def test_every_limit_is_kept_however_it_is_moved(bench, kind, flavour):

@@ -79,6 +79,7 @@ def test_sticks_that_may_not_take_over_do_not(px4):
     b.run(story)
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize("mode", ["AUTO.LOITER", "AUTO.RTL", "AUTO.LAND", "POSCTL.ORBIT"])
 def test_a_mode_of_another_station_ends_the_motion_and_is_not_ours(px4, mode):
     b = px4()
@@ -172,6 +173,7 @@ def test_a_hover_between_motions_is_kept_up_by_setpoints_too(px4):
     b.run(story)
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("loss", [0.2, 0.4])
 def test_setpoints_that_are_lost_by_the_way_do_not_end_it(px4, loss):
     b = px4(faults=())
@@ -186,6 +188,7 @@ def test_setpoints_that_are_lost_by_the_way_do_not_end_it(px4, loss):
     b.run(story)
 
 
+@pytest.mark.few(3)
 @pytest.mark.parametrize(
     ("what", "values"),
     [

@@ -179,6 +179,7 @@ def test_a_refused_arming_has_the_reason(px4):
     assert "health failures first" in reason
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize(
     ("state", "mode"), [("land", "AUTO.LAND"), ("hold", "AUTO.LOITER"), ("return", "AUTO.RTL")]
 )
@@ -332,6 +333,7 @@ def test_a_refusal_counts_only_for_the_mode_that_it_is_about(px4, monkeypatch):
     b.run(mission)
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize(
     ("delay", "stays_on", "said"), [(2.0, False, 0), (14.0, False, 1), (600.0, False, 1), (-1.0, True, 0)]
 )
@@ -359,6 +361,7 @@ STOPS = {
 }
 
 
+@pytest.mark.few(4)
 @pytest.mark.parametrize("after", [0.02, 0.2, 4.0])
 @pytest.mark.parametrize("stop", STOPS)
 def test_whatever_stops_it_stops_a_goal_too(px4, stop, after):

@@ -30,7 +30,7 @@ async def flown(b, fc, kind):
     return speeds
 
 
-@pytest.mark.few(6)
+@pytest.mark.few(3)
 @pytest.mark.parametrize("limit", [1.0, 2.0, 3.0, 5.0])
 @pytest.mark.parametrize(("flavour", "kind"), VEHICLES)
 def test_a_limit_is_kept_in_still_air(bench, flavour, kind, limit):
@@ -42,7 +42,7 @@ def test_a_limit_is_kept_in_still_air(bench, flavour, kind, limit):
     assert [note for note in b.notes if "beyond its limit" in note] == []
 
 
-@pytest.mark.few(4)
+@pytest.mark.few(2)
 @pytest.mark.parametrize("source", [0.0, 1.57, 3.14])
 @pytest.mark.parametrize(("flavour", "kind"), VEHICLES)
 def test_a_limit_is_kept_in_wind(bench, flavour, kind, source):
@@ -103,7 +103,7 @@ def test_a_rover_drives_a_velocity_no_faster_than_it_is(bench, flavour, limit):
     assert [note for note in b.notes if "beyond its limit" in note] == []
 
 
-@pytest.mark.parametrize("way", ["mission", "goTo", "setSpeed"])
+@pytest.mark.parametrize("way", ["mission", "return", "goTo", "setSpeed"])
 def test_px4s_rover_keeps_a_low_speed_whatever_moves_it(bench, way):
     b, limit = bench(flavour="px4", kind="rover", limits={"speed": 1.0 if way != "goTo" else 0.5}), 1.0
 
@@ -116,6 +116,9 @@ def test_px4s_rover_keeps_a_low_speed_whatever_moves_it(bench, way):
             await fc.execute("startMission", [])
             return await steady(b, asyncio.create_task(asyncio.sleep(20.0)))
         flight = asyncio.create_task(fc.execute("goTo", [25.0, 0.0, 0.0]))
+        if way == "return":
+            await flight
+            return await steady(b, asyncio.create_task(fc.execute("returnHome", [])))
         limit = 0.5 if way == "goTo" else 0.8
         if way == "setSpeed":
             await asyncio.sleep(5.0)

@@ -90,7 +90,7 @@ COPTER_FLAVOUR = Flavour(
     ),
     position_lost="EKF Failsafe: changed to LAND Mode",
     blind=BlindRule(
-        7.0, 0.05, 1.3, "EKF Failsafe Cleared", "Mode change to {mode} failed: requires position"
+        8.1, 0.05, 1.3, "EKF Failsafe Cleared", "Mode change to {mode} failed: requires position"
     ),
     capacity="BATT_CAPACITY",
     # DO_ORBIT is PX4's; ArduCopter circles by its mode CIRCLE.
@@ -102,6 +102,9 @@ COPTER_FLAVOUR = Flavour(
     # TIMESYNC
     streams={111: 0.1},
     idle_text="Disarming motors",
+    battery_text="Battery Failsafe",
+    battery_refusal="Battery failsafe",
+    thrust_loss="Potential Thrust Loss (1)",
     no_mission=("Mode change to AUTO failed: init failed",),
 )  # fmt: skip
 ROVER_FLAVOUR = replace(

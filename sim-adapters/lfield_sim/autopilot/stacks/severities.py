@@ -53,6 +53,7 @@ _BEGINNINGS: Mapping[Severity, tuple[str, ...]] = {
     Severity.WARNING: (
         # ArduPilot
         "Battery 1 is low",
+        "Battery Failsafe",
         "Fence validation failed",
         "Flight mode change failed",
         "GCS Failsafe",

@@ -37,6 +37,8 @@ class Failsafes:
         self._heard_again = False
         self._later: tuple[float, Role] | None = None
         self._low: set[str] = set()
+        #: Whether that of the battery has acted: it does so once, and an ArduPilot is not armed after it.
+        self.battery_acted = False
         self._was_blind = False
         self._stream_missed = False
         self.fences = Fences(pilot)
@@ -219,7 +221,9 @@ class Failsafes:
 
     def _act(self, role: Role | None) -> None:
         if role is not None and not self._lands_on():
-            self._pilot.critical = True
+            self._pilot.critical = self.battery_acted = True
+            if self._rules.battery_text:
+                self._pilot.say(self._rules.battery_text)
             self._pilot.fall_back(role, pause=LANDING_PAUSE)
 
     # -- position --------------------------------------------------------------------------------------

@@ -8,11 +8,14 @@ import os
 import socket
 from collections import deque
 from collections.abc import Sequence
-
-from lfield.net.paths.names import Found
+from typing import Any, TypeVar
 
 #: Seconds until the next address is tried beside those that have not answered (RFC 8305, section 5).
 STAGGER = 0.25
+
+
+#: A family and an address, as sockets have them.
+Found = TypeVar("Found", bound=tuple[int, tuple[Any, ...]])
 
 
 async def first_connected(
@@ -28,7 +31,7 @@ async def first_connected(
         while left or tasks:
             if left:
                 found = left.popleft()
-                tasks[asyncio.ensure_future(_connected(found))] = found
+                tasks[asyncio.ensure_future(_connected(*found))] = found
             done, _ = await asyncio.wait(
                 tasks, timeout=STAGGER if left else None, return_when=asyncio.FIRST_COMPLETED
             )
@@ -51,12 +54,12 @@ async def first_connected(
                 _close(task)
 
 
-async def _connected(found: Found) -> socket.socket:
+async def _connected(family: int, address: tuple[Any, ...]) -> socket.socket:
     """A socket that is connected. Not by `sock_connect` of the loops: those forget the zone of an address."""
-    made = socket.socket(found.family, socket.SOCK_STREAM)
+    made = socket.socket(family, socket.SOCK_STREAM)
     try:
         made.setblocking(False)
-        error = made.connect_ex(found.address)
+        error = made.connect_ex(address)
         if error == errno.EINPROGRESS:
             await _writable(made)
             error = made.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR)

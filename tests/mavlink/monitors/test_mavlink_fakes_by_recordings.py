@@ -1,0 +1,173 @@
+"""Faults of the fakes, event by event, against what a real ArduCopter said and did (gauntlet-a and -b)."""
+
+from __future__ import annotations
+
+import pytest
+from recorded_flight import events
+
+from lfield_mavlink.link.dialect import dialect
+from lfield_sim.autopilot.autopilot import FLAVOURS, Autopilot
+from lfield_sim.mavlink.link.wire import make_faults
+from lfield_sim.mavlink.protocol import STEP, MavlinkFake
+
+GUIDED, LAND = 4, 9
+#: Texts that are about the recorder's own doings, or only about how many cores the estimator has.
+OTHERS = ("Mode change", "EKF3", "EKF primary", "SIM Hit", "Disarming", "PreArm", "Glitch cleared")
+#: Seconds by which a heartbeat or text may come earlier or later: they come at 5 Hz and less.
+NEAR = 0.6
+
+
+def condensed(messages):
+    """Changes of mode and system status, and texts: seconds and words."""
+    found, last = [], None
+    for at, message in messages:
+        kind = message.get_type()
+        if kind == "HEARTBEAT":
+            state = message.custom_mode, message.system_status
+            if last is not None and state != last:
+                found.append((at, f"mode {state[0]}, status {state[1]}"))
+            last = state
+        elif kind == "STATUSTEXT":
+            text = message.text.decode() if isinstance(message.text, bytes) else message.text
+            if not text.startswith(OTHERS):
+                # Volts and charges are those of another battery.
+                found.append((at, text.rstrip("\0").split(" 10.00V")[0]))
+    return found
+
+
+def recorded(name, note, seconds):
+    """What came from the note of a fault on."""
+    began, messages = None, []
+    for event in events(name):
+        if note in event.note and began is None:
+            began = event.at
+        if began is not None and event.at > began + seconds:
+            break
+        if began is not None and event.message is not None:
+            messages.append((event.at - began, event.message))
+    return condensed(messages)
+
+
+class Flight:
+    """A fake of an ArduCopter, 8 m up and on its way."""
+
+    def __init__(self, **parameters: float) -> None:
+        faults = make_faults()
+        self.autopilot = Autopilot(FLAVOURS["ardupilot"]["copter"])
+        self.fake = MavlinkFake(self.autopilot, faults=faults)
+        self.autopilot.parameters |= parameters
+        self.autopilot.apply_parameters()
+        self.fault = lambda *texts: faults.apply(texts)
+        self._out, self._back = dialect.MAVLink(None, srcSystem=255, srcComponent=190), dialect.MAVLink(None)
+        self.heard: list = []
+        self.command(dialect.MAV_CMD_DO_SET_MODE, 1, GUIDED)
+        self.command(dialect.MAV_CMD_COMPONENT_ARM_DISARM, 1)
+        self.command(dialect.MAV_CMD_NAV_TAKEOFF, 0, 0, 0, 0, 0, 0, 8)
+        self.command(dialect.MAV_CMD_SET_MESSAGE_INTERVAL, 0, 200_000)
+        self.wait(14.0)
+        self.goes(60.0)
+        self.wait(4.0)
+
+    def send(self, message):
+        answers = self.fake.receive("c", message.pack(self._out))
+        return self._back.parse_buffer(b"".join(answers)) or []
+
+    def command(self, number, *values):
+        padded = [*values, *[0.0] * (7 - len(values))]
+        answers = self.send(dialect.MAVLink_command_long_message(1, 1, number, 0, *padded))
+        return next((each.result for each in answers if each.get_type() == "COMMAND_ACK"), None)
+
+    def goes(self, north):
+        given = (north, 0.0, -8.0, *[0.0] * 8)
+        self.send(dialect.MAVLink_set_position_target_local_ned_message(0, 1, 1, 1, 0x0DF8, *given))
+
+    def wait(self, seconds):
+        for _ in range(round(seconds / STEP)):
+            packets = self.fake.advance(STEP)
+            now = self.autopilot.now
+            self.heard += [(now, m) for m in self._back.parse_buffer(b"".join(packets)) or []]
+
+    def said(self, began):
+        told = condensed([(at - began, message) for at, message in self.heard])
+        return [(at, words) for at, words in told if at >= 0.0]
+
+
+def assert_alike(real, fake):
+    assert [words for _, words in fake] == [words for _, words in real]
+    for (at, words), (was, _) in zip(fake, real, strict=True):
+        assert abs(at - was) <= NEAR, f"{words}: after {at:.1f} s, really {was:.1f} s"
+
+
+def test_without_gps_it_flies_on_and_then_lands():
+    real = recorded("ap-copter.gauntlet-a", "GPS off for 25 s: begins", 9.0)
+    flight = Flight()
+    began = flight.autopilot.now
+    flight.fault("gps_loss=true")
+    flight.wait(9.0)
+    assert any("EKF Failsafe: changed to LAND Mode" in words for _, words in real)
+    assert_alike(real, flight.said(began))
+    assert flight.command(dialect.MAV_CMD_DO_SET_MODE, 1, GUIDED) != dialect.MAV_RESULT_ACCEPTED
+
+
+def test_a_battery_failsafe_is_taken_back_by_guided_and_acts_once():
+    """By voltage it acts after 10 s (BATT_LOW_TIMER); the fake's is by charge. The rest is the same."""
+    real = recorded("ap-copter.gauntlet-a", "battery low (10 V), BATT_FS_LOW_ACT 1 land: begins", 48.0)
+    acts = next(at for at, words in real if words.startswith("mode"))
+    back = next(at for at, words in real if words.startswith(f"mode {GUIDED},") and at > acts)
+    flight = Flight(BATT_FS_LOW_ACT=1, BATT_LOW_MAH=660)
+    flight.fault("battery=0.19")
+    began = flight.autopilot.now
+    flight.wait(back - acts)
+    assert flight.command(dialect.MAV_CMD_DO_SET_MODE, 1, GUIDED) == dialect.MAV_RESULT_ACCEPTED
+    flight.goes(60.0)
+    flight.wait(20.0)
+    fake = [(at, words.split(" 1")[0] if "is low" in words else words) for at, words in flight.said(began)]
+    real = [(at - acts, words.split(" 1")[0] if "is low" in words else words) for at, words in real]
+    assert sorted(words for _, words in fake) == sorted(words for _, words in real)
+    assert flight.autopilot.mode == "GUIDED"
+    assert flight.command(dialect.MAV_CMD_DO_SET_MODE, 1, LAND) == dialect.MAV_RESULT_ACCEPTED
+    flight.wait(25.0)
+    assert not flight.autopilot.armed
+    flight.command(dialect.MAV_CMD_DO_SET_MODE, 1, GUIDED)
+    assert flight.command(dialect.MAV_CMD_COMPONENT_ARM_DISARM, 1) == dialect.MAV_RESULT_FAILED
+    flight.wait(0.1)
+    assert "Arm: Battery failsafe" in [words for _, words in flight.said(began)]
+
+
+def test_a_weak_motor_falls_as_the_real_one_did():
+    """Heights of both, from the fault to the ground."""
+    heights, began = [], None
+    for event in events("ap-copter.gauntlet-b"):
+        if "set SIM_ENGINE_FAIL = 1" in event.note and began is None:
+            began = event.at
+        place = event.message is not None and event.message.get_type() == "LOCAL_POSITION_NED"
+        if began is not None and place:
+            heights.append((event.at - began, -event.message.z))
+        if began is not None and event.at > began + 4.0:
+            break
+    flight = Flight()
+    began = flight.autopilot.now
+    flight.fault("motor_power=0.6")
+    top = -flight.autopilot.vehicle.place[2]
+    for at, height in heights:
+        flight.wait(began + at - flight.autopilot.now)
+        lost, lost_really = top + flight.autopilot.vehicle.place[2], heights[0][1] - height
+        assert abs(lost - lost_really) < 1.2, (
+            f"{lost:.1f} m lost after {at:.1f} s, really {lost_really:.1f} m"
+        )
+    said = [words for _, words in recorded("ap-copter.gauntlet-b", "set SIM_ENGINE_FAIL = 1", 4.0)]
+    assert [words for _, words in flight.said(began)] == said
+
+
+@pytest.mark.parametrize(("name", "note", "fault"), [
+    ("ap-copter.gauntlet-a", "all compasses fail for 25 s: begins", "compass_failure=true"),
+    ("ap-copter.gauntlet-b", "GPS glitch", "gps_glitch=33"),
+])  # fmt: skip
+def test_it_flies_on_with_a_glitch_and_without_compasses(name, note, fault):
+    real = recorded(name, note, 7.0)
+    flight = Flight()
+    began = flight.autopilot.now
+    flight.fault(fault)
+    flight.wait(7.0)
+    assert_alike(real, flight.said(began))
+    assert flight.autopilot.mode == "GUIDED"

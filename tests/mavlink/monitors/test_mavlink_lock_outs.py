@@ -1,0 +1,81 @@
+"""After a crash nothing arms a vehicle before an operator ends the lock-out. Whole hosts, in virtual time."""
+
+from __future__ import annotations
+
+import pytest
+
+from lfield.authority.identity import ALL, Identity
+from lfield.wire.observing import EmergencyStop
+
+PROGRAM = """
+resource Post {
+    Mavlink fc;
+    init(string[] arg) { }
+    portal up() { fc.waitReady(60.0); fc.arm(); fc.takeoff(6.0); }
+    portal again() {
+        string done = "";
+        try { fc.release(); done = done + " released"; } catch (DeviceException e) { print(e.message()); }
+        try { fc.waitReady(5.0); done = done + " ready"; } catch (DeviceException e) { }
+        try { fc.arm(); done = done + " armed"; } catch (DeviceException e) { }
+        print("done:" + done);
+    }
+}
+coordinator Walker {
+    init(string[] arg) {
+        Post post = findPost("p");
+        try { post.up(); print("in the air"); } catch (RestartException e) { print(e.message()); }
+        while (true) {
+            try { sleep(2.0); post.again(); } catch (Exception e) { print("goes on after " + e.message()); }
+        }
+    }
+}
+"""
+BINDINGS = """
+agents:
+  p:
+    devices:
+      fc: {{driver: mavlink, endpoint: "udp:127.0.0.1:14550", system: 1, kind: copter, autopilot: {autopilot},
+           safe_state: land, waivers: [device_watchdog]}}
+"""
+
+
+class Operator:
+    """Lifts what holds the devices of a host."""
+
+    who = Identity("person", "anna", ALL)
+
+    def send(self, message: object) -> None:
+        """The host answers."""
+
+
+@pytest.mark.few(2)
+@pytest.mark.parametrize(
+    ("autopilot", "ends"),
+    [("ardupilot", "power_off"), ("px4", "guard"), ("px4", "crash"), ("ardupilot", "crash")],
+)
+def test_a_lock_out_outlives_the_guard_the_host_and_its_computer(tmp_path, lfield_mission, autopilot, ends):
+    (tmp_path / "mission.L").write_text(PROGRAM)
+    (tmp_path / "mission.dL").write_text("//Post:p@alpha\n//Walker:walker@bravo\n")
+    (tmp_path / "mission.devices.yaml").write_text(BINDINGS.format(autopilot=autopilot))
+    team = lfield_mission(tmp_path / "mission.dL")
+    team.run(until="in the air")
+    team.fake("p.fc").set("motor_failure=true")
+    team.run(until="LOCKED OUT: it crashed: ")
+    team.fake("p.fc").set("motor_failure=false")
+    fleet = team._fleet
+    if ends == "guard":
+        host = fleet.lives["alpha"].process
+        next(each for each in fleet.computers["alpha"].processes if each is not host).die(-9)
+    else:
+        team.run(0.5)
+        getattr(team, ends)("alpha")
+        team.boot("alpha")
+    began = len(team.log)
+    team.run(until="'lfield estop --lift' must come first")
+    team.run(6.0)
+    tried = [line.text for line in team.log[began:] if "done:" in line.text]
+    assert len(tried) >= 2
+    assert {text.split("done:")[1].strip() for text in tried} == {""}
+    life = fleet.lives["alpha"]
+    life.process.loop.enter(lambda: life.host.received("", EmergencyStop("", lift=True), Operator()))
+    team.run(until="done: released ready armed", at_most=60.0)
