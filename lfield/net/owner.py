@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, Protocol
 
 if TYPE_CHECKING:
@@ -13,6 +14,8 @@ if TYPE_CHECKING:
 
 #: How many different complaints are remembered, so as not to be repeated.
 MOST_COMPLAINTS = 100
+#: So many lines about what others send are logged in so many seconds: they may send ever new names.
+MOST_LINES, PERIOD = 20, 60.0
 
 
 class Owner(Protocol):
@@ -44,15 +47,31 @@ class Owner(Protocol):
 
 
 class Complaints:
-    """What is wrong with links, each said once: a caller that is refused calls again every second."""
+    """What is wrong with links, each said once: a caller that is refused calls again every second.
 
-    def __init__(self, note: Callable[[str], None]) -> None:
-        self._note = note
+    At most MOST_LINES lines come in PERIOD, and one that says how many are left out; `now` is the clock, in
+    seconds.
+    """
+
+    def __init__(self, note: Callable[[str], None], now: Callable[[], float]) -> None:
+        self._note, self._now = note, now
         self._said: set[str] = set()
+        self._since, self._lines, self._left_out = -math.inf, 0, 0
 
     def say(self, text: str) -> None:
-        """A line for the log, unless it is there."""
+        """A line for the log, unless it is there, or too many are."""
         if text in self._said:
+            return
+        now = self._now()
+        if now - self._since >= PERIOD:
+            if self._left_out:
+                self._note(f"{self._left_out} lines about what others send were left out")
+            self._since, self._lines, self._left_out = now, 0, 0
+        self._lines += 1
+        if self._lines > MOST_LINES:
+            if not self._left_out:
+                self._note(f"others send much that is wrong: lines about it are left out for {PERIOD:g} s")
+            self._left_out += 1
             return
         if len(self._said) >= MOST_COMPLAINTS:
             self._said.clear()

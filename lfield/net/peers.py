@@ -76,7 +76,7 @@ class Peers:
         self._came, self._bars = dict[str, float](), Bars()
         self._links: dict[str, Session] = {}
         self._tasks, self._listeners = list[asyncio.Task[None]](), list[Listener]()
-        self._complaints, self.refusals = Complaints(owner.note), Refusals(hosts)
+        self._complaints, self.refusals = Complaints(owner.note, self.now), Refusals(hosts)
         self._ungreeted: Guests[Session] = Guests(MOST_UNGREETED, dice)
         self._observers: Guests[Session] = Guests(MOST_OBSERVERS, dice)
         #: The hosts that have neither greeted yet nor failed to answer a call, and those that have greeted.

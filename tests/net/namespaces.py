@@ -147,6 +147,10 @@ class Network:
     def start(self, host: str, *places: str) -> Process:
         """The links of a host; `places` are NAME=ADDRESS."""
         words = [sys.executable, str(PEER), host, str(self._keys), *places]
+        return self.run(host, *words)
+
+    def run(self, host: str, *words: str) -> Process:
+        """A program on a computer."""
         process = Process(["ip", "netns", "exec", self._named(host), *words])
         self._processes.append(process)
         return process

@@ -12,6 +12,7 @@ from msgspec.structs import replace
 from test_reception import FLOOD, Inn, run_tls
 
 from lfield.errors import OverBudget
+from lfield.net.owner import MOST_LINES, PERIOD, Complaints
 from lfield.net.stream import MEMBERS_PIECE
 from lfield.net.tls import Channel
 from lfield.net.waiting.rations import ALLOWANCE, OVER_FOR, RATION
@@ -249,3 +250,24 @@ def test_an_observer_is_no_member_whoever_it_is(who):
         assert not caller.wire.closing
 
     run_tls(story)
+
+
+def test_ever_new_names_fill_no_log():
+    lines, now = [], [0.0]
+    complaints = Complaints(lines.append, lambda: now[0])
+    for number in range(10_000):
+        now[0] = number * 0.001
+        complaints.say(f"bravo sent c{number} or asked for it in an earlier life of alpha")
+        complaints.say("a caller is refused")
+    assert len(lines) == MOST_LINES + 1
+    assert lines[1] == "a caller is refused"
+    assert lines[-1] == "others send much that is wrong: lines about it are left out for 60 s"
+    # What else is wrong later is said, and how much was not.
+    now[0] = PERIOD
+    complaints.say("the certificate of bravo has ended")
+    assert lines[MOST_LINES + 1 :] == [
+        f"{10_000 - (MOST_LINES - 1)} lines about what others send were left out",
+        "the certificate of bravo has ended",
+    ]
+    complaints.say("the certificate of bravo has ended")
+    assert len(lines) == MOST_LINES + 3

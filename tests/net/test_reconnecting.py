@@ -214,6 +214,57 @@ def test_a_link_comes_back(net, case):
     assert max(back) < PROMISE
 
 
+#: A link to a vehicle, which answers each datagram; "heard" whenever it is, at most every 0.1 s.
+VEHICLE = """
+import socket
+with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as made:
+    made.bind(("10.9.0.2", 14550))
+    while True:
+        made.sendto(b"+", made.recvfrom(99)[1])
+"""
+STATION = """
+import asyncio, time
+from lfield_mavlink.link.events import LinkEvents
+from lfield_mavlink.link.links import make_link
+
+def say(text):
+    print(time.monotonic(), text, flush=True)
+
+async def main():
+    link = make_link("udp:10.9.0.2:14550", lambda data: say("heard"), LinkEvents(say))
+    await link.open()
+    while True:
+        link.send(b"?")
+        await asyncio.sleep(0.1)
+
+asyncio.run(main())
+"""
+
+
+@pytest.mark.few(0)
+@pytest.mark.parametrize("gone", [0.0, 6.0])
+def test_a_udp_link_works_again_from_another_interface_with_another_address(net, gone):
+    """tests/mavlink/link/test_mavlink_reconnects.py has what can be tried on loopback."""
+    net.address("a", "10.9.0.1/24")
+    net.address("b", "10.9.0.2/24")
+    net.run("b", sys.executable, "-c", VEHICLE)
+    station = net.run("a", sys.executable, "-c", STATION)
+    station.wait_for("heard")
+    net.pull_out("a")
+    time.sleep(gone)
+    count = len(station.lines)
+    net.plug_in("a")
+    net.address("a", "10.9.0.11/24")
+    began = time.monotonic()
+    back = station.wait_for("heard", count) - began
+    print(
+        f"heard again after {back:.1f} s", *[line for line in station.lines if "heard" not in line], sep="\n"
+    )
+    assert back < PROMISE
+    assert any("udp:10.9.0.2:14550 is lost: nothing came for 3 s" in line for line in station.lines)
+    assert any("is open again: it sends to 10.9.0.2" in line for line in station.lines)
+
+
 #: A link to an address that is none without its zone.
 ZONE = """
 import asyncio

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import socket
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from contextlib import suppress
 
 from lfield.driver.network import Address, Attempts, Lookup
@@ -45,12 +45,20 @@ class _Sockets:
             return
         self._on_datagram(opened, data, peer)
 
+    def remove(self, opened: socket.socket) -> None:
+        """Close it."""
+        self.open.remove(opened)
+        asyncio.get_running_loop().remove_reader(opened)
+        opened.close()
+
     def close(self) -> None:
         """Close them all."""
-        while self.open:
-            opened = self.open.pop()
-            asyncio.get_running_loop().remove_reader(opened)
-            opened.close()
+        for opened in tuple(self.open):
+            self.remove(opened)
+
+
+def _places(found: Iterable[tuple[int, Address]]) -> str:
+    return ", ".join(str(address[0]) for _, address in found)
 
 
 class UdpLink:
@@ -158,62 +166,85 @@ class UdpListener:
         self._attempts = Attempts(self._endpoint)
         self._sockets = _Sockets(self._on_datagram, lambda: None)
         self._task: asyncio.Task[None] | None = None
-        self._bound: list[tuple[int, Address]] = []
+        self._bound: dict[tuple[int, Address], socket.socket] = {}
+        #: The addresses of its name at which it could not be bound, tried again every AGAIN s.
+        self._unbound: list[tuple[int, Address]] = []
         self._at = 0.0
         self._peers: dict[str, tuple[socket.socket, Address]] = {}
 
     async def open(self) -> None:
         """Bind the sockets. Raises DeviceError."""
         try:
-            self._bind(await self._lookup.addresses(ATTEMPT))
+            failure = self._bind(await self._lookup.addresses(ATTEMPT))
+            if not self._bound:
+                raise failure or OSError("it has no address")
         except OSError as error:
             raise cannot_open(self._name, error) from None
+        if failure is not None:
+            now = asyncio.get_running_loop().time()
+            # Attempts are counted from here, and the line is that of the first.
+            self._attempts.lost("", now)
+            self._events.log(self._attempts.failed(reason_of(failure), now))
         self._task = asyncio.get_running_loop().create_task(self._keep())
 
-    def _bind(self, found: list[tuple[int, Address]]) -> None:
-        """A socket at each of the addresses that this computer has. Raises OSError where it has none."""
-        opened, failure = [], OSError("it has no address")
-        for family, address in found:
-            made = socket.socket(family, socket.SOCK_DGRAM)
+    def _bind(self, found: list[tuple[int, Address]]) -> OSError | None:
+        """Bind a socket at each of these addresses that has none; why that failed where it did."""
+        failures: dict[tuple[int, Address], OSError] = {}
+        for at in found:
+            if at in self._bound:
+                continue
+            made = socket.socket(at[0], socket.SOCK_DGRAM)
             try:
                 made.setblocking(False)
-                made.bind(address)
+                made.bind(at[1])
             except OSError as error:
                 made.close()
-                failure = error
+                failures[at] = error
             else:
-                opened.append(made)
-        if not opened:
-            raise failure
-        self._bound = found
-        for made in opened:
-            self._sockets.add(made)
+                self._bound[at] = made
+                self._sockets.add(made)
+        self._unbound = list(failures)
+        reasons = [f"{at[1][0]}: {reason_of(error)}" for at, error in failures.items()]
+        return OSError("; ".join(reasons)) if reasons else None
+
+    def _unbind(self, found: list[tuple[int, Address]]) -> None:
+        """Close the sockets at addresses other than these."""
+        for at in self._bound.keys() - set(found):
+            gone = self._bound.pop(at)
+            self._sockets.remove(gone)
+            for address in [address for address, (opened, _) in self._peers.items() if opened is gone]:
+                del self._peers[address]
 
     async def _keep(self) -> None:
-        """While nothing comes: bind anew when the name, or this computer, has another address by now."""
+        """Bind what could not be bound; while nothing comes, follow the name to its addresses of now."""
         loop = asyncio.get_running_loop()
         while True:
             await asyncio.sleep(AGAIN)
-            if loop.time() - self._at < SILENT and self._sockets.open:
-                continue
+            before = set(self._bound)
             try:
-                found = await self._lookup.addresses(ATTEMPT)
-                if found == self._bound and self._sockets.open:
-                    continue
-                places = ", ".join(str(address[0]) for _, address in found)
-                self._events.log(self._attempts.lost(f"its address is {places} now", loop.time()))
-                self._sockets.close()
-                self._peers.clear()
-                self._bind(found)
+                if loop.time() - self._at >= SILENT or not self._bound:
+                    found = await self._lookup.addresses(ATTEMPT)
+                    if set(found) != before.union(self._unbound):
+                        places = _places(found)
+                        self._events.log(self._attempts.lost(f"its address is {places} now", loop.time()))
+                    self._unbind(found)
+                else:
+                    found = self._unbound
+                failure = self._bind(found)
             except OSError as error:
-                self._events.log(self._attempts.failed(reason_of(error), loop.time()))
-            else:
-                self._events.log(self._attempts.opened(f"it listens at {places}", loop.time()))
+                failure = error
+            if failure is not None:
+                self._events.log(self._attempts.failed(reason_of(failure), loop.time()))
+            if more := [at for at in self._bound if at not in before]:
+                self._events.log(self._attempts.opened(f"it listens at {_places(more)}", loop.time()))
+                if failure is None:
+                    self._attempts.works()
 
     def _on_datagram(self, opened: socket.socket, data: bytes, peer: Address) -> None:
         """A packet from a vehicle."""
         self._at = asyncio.get_running_loop().time()
-        self._attempts.works()
+        if not self._unbound:
+            self._attempts.works()
         # The newest is last; the one that was silent longest is forgotten.
         host, port = str(peer[0]), peer[1]
         address = f"[{host}]:{port}" if ":" in host else f"{host}:{port}"

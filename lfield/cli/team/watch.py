@@ -146,16 +146,19 @@ async def _watch(
     def found() -> Sequence[Party]:
         return meant_parties(args, meant_runs(args))
 
+    def tell(line: str) -> None:
+        print(line, flush=True)
+
     if page_keys is None:
-        site = on_this_computer(args.port)
+        site = await on_this_computer(args.port, tell)
     else:
-        site = on_a_network(args.listen, args.port, page_keys)
+        site = await on_a_network(args.listen, args.port, page_keys, tell)
     _end_with_ctrl_c()
     if not party.runs:
         where = listed([f"{host} at {address}" for host, address in party.addresses.items()])
-        print(f"nobody runs {path} on this computer: the page waits for {where}", flush=True)
+        tell(f"nobody runs {path} on this computer: the page waits for {where}")
     async with watched(path, team, party, found, args.keys) as shown:
         served = Served(
             f"{path.absolute().parent.name}/{path.stem}", shown, shown.actions, SystemClock(), tiles
         )
-        await serve(served, site, lambda link: print(f"open this link: {link}", flush=True))
+        await serve(served, site, lambda link: tell(f"open this link: {link}"))

@@ -289,7 +289,7 @@ class Coordinators:
         try:
             self._machine.admit(member, memoryview(block), self._mission.bindings.limits(member.id))
         except BlockError as error:
-            self.say(f"refused {header.agent}: {error}")
+            self._out(Complain(f"refused {header.agent}: {error}"))
             return mobile.Refusal(UNREACHABLE, f"{self._own.host} refused the coordinator: {error}")
         return None
 

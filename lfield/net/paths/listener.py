@@ -7,6 +7,7 @@ import socket
 from collections.abc import Awaitable, Callable
 from contextlib import suppress
 from pathlib import Path
+from typing import Protocol
 
 from lfield.errors import AddressError
 from lfield.loop import spawn
@@ -17,6 +18,13 @@ from lfield.net.transport import is_lasting, split_address
 
 #: A name, or an address of an interface that may come back as another, is looked at every so many seconds.
 CHECK_EVERY = 1.0
+
+
+class Server(Protocol):
+    """What takes the calls at a bound socket."""
+
+    def close(self) -> None:
+        """Take no more, and close the socket."""
 
 
 class SocketListener:
@@ -36,19 +44,23 @@ class SocketListener:
 class PortListener:
     """Listens at every address of a name that is one of this computer.
 
-    `serve` makes a server of a bound socket, and `note` takes a line for the log. A name that leads to other
-    addresses later is listened at there, and no longer at the old ones. An attempt that fails is repeated.
+    `serve` makes a server of a bound socket, `note` takes a line for the log, and `why` says what an error
+    means to the user. A name that leads to other addresses later is listened at there, and no longer at the
+    old ones. An attempt that fails is repeated.
     """
 
     def __init__(
         self,
         address: str,
-        serve: Callable[[socket.socket], Awaitable[asyncio.Server]],
+        serve: Callable[[socket.socket], Awaitable[Server]],
         note: Callable[[str], None],
+        why: Callable[[OSError | UnicodeError], str] = refusal,
     ) -> None:
-        self._asked, self._serve, self._note = address, serve, note
+        self._asked, self._serve, self._note, self._why = address, serve, note, why
         self._host, self._port = split_address(address)
-        self._servers: dict[Found, asyncio.Server] = {}
+        self._servers: dict[Found, Server] = {}
+        #: The addresses of their sockets.
+        self._addresses: dict[Found, str] = {}
         #: Why it does not listen at an address, as reported.
         self._failures: dict[Found, str] = {}
         self._timer: asyncio.TimerHandle | None = None
@@ -59,18 +71,17 @@ class PortListener:
         try:
             failures = await self._bind(await looked_up(self._host, self._port, passive=True))
         except (OSError, UnicodeError) as error:
-            raise AddressError(self._asked, refusal(error)) from None
+            raise AddressError(self._asked, self._why(error)) from None
         if not self._servers:
             raise AddressError(self._asked, "; ".join(dict.fromkeys(failures.values())))
-        self._failures = failures
+        self._report(failures)
         if not is_lasting(self._host):
             self._plan()
 
     @property
     def address(self) -> str:
         """Where it listens, with the real port if 0 was asked for; of several the first."""
-        server = next(iter(self._servers.values()))
-        return socket_address(server.sockets[0].getsockname())
+        return self._addresses[next(iter(self._servers))]
 
     def close(self) -> None:
         """Take no more links."""
@@ -94,18 +105,21 @@ class PortListener:
         before = set(self._servers)
         failures = await self._bind([at for at in found if at not in self._servers])
         for at in self._servers.keys() - before:
-            self._note(
-                f"this host listens at {socket_address(at.address)}, too: {self._host} leads there now"
-            )
-        for at, why in failures.items():
-            if self._failures.get(at) != why:
-                self._note(f"this host cannot listen at {socket_address(at.address)}: {why}; trying again")
-        self._failures = failures
+            self._note(f"this computer listens at {self._addresses[at]}, too: {self._host} leads there now")
+        self._report(failures)
         if not self._servers.keys().isdisjoint(found):
             for at in [at for at in self._servers if at not in found]:
                 self._servers.pop(at).close()
-                old = socket_address(at.address)
-                self._note(f"this host no longer listens at {old}: {self._host} leads elsewhere now")
+                old = self._addresses.pop(at)
+                self._note(f"this computer no longer listens at {old}: {self._host} leads elsewhere now")
+
+    def _report(self, failures: dict[Found, str]) -> None:
+        """Say why it does not listen at addresses, once for each reason."""
+        for at, why in failures.items():
+            if self._failures.get(at) != why:
+                where = self._spelled(at)
+                self._note(f"this computer cannot listen at {where}: {why}; trying again")
+        self._failures = failures
 
     async def _bind(self, found: list[Found]) -> dict[Found, str]:
         """Listen at addresses; why it could not, where it could not."""
@@ -114,19 +128,22 @@ class PortListener:
             try:
                 made = bound(at, self._port or self._real_port())
             except OSError as error:
-                failures[at] = refusal(error)
+                failures[at] = self._why(error)
                 continue
+            name = socket_address(made.getsockname())
             server = await self._serve(made)
             if self._is_closed:
                 server.close()
             else:
-                self._servers[at] = server
+                self._servers[at], self._addresses[at] = server, name
         return failures
+
+    def _spelled(self, at: Found) -> str:
+        return socket_address((at.address[0], self._port or self._real_port(), *at.address[2:]))
 
     def _real_port(self) -> int:
         """The port that was taken where any would do."""
-        server = next(iter(self._servers.values()), None)
-        return int(server.sockets[0].getsockname()[1]) if server is not None else 0
+        return split_address(self.address)[1] if self._servers else 0
 
 
 def bound(at: Found, port: int) -> socket.socket:

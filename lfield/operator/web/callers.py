@@ -25,18 +25,29 @@ _AGAIN = 0.1
 Peer = tuple[str, int]
 
 
-class Callers:
-    """Who has called at a socket; with `tls` each must speak TLS first."""
+#: Makes the protocol of a connection.
+Speaks = Callable[[], asyncio.Protocol]
 
-    def __init__(
-        self,
-        opened: socket.socket,
-        tls: ssl.SSLContext | None,
-        dice: random.Random,
-        patience: float = PATIENCE,
-    ) -> None:
-        opened.setblocking(False)
-        self._opened, self._tls, self._patience = opened, tls, patience
+
+class _Taking:
+    """Calls are taken at a socket; implements `Server`."""
+
+    def __init__(self, task: asyncio.Task[None], opened: socket.socket) -> None:
+        self._task = task
+        task.add_done_callback(lambda _: opened.close())
+
+    def close(self) -> None:
+        """Take no more, and close the socket."""
+        self._task.cancel()
+
+
+class Callers:
+    """Who has called at the sockets of a page; with `tls` each must speak TLS first."""
+
+    def __init__(self, tls: ssl.SSLContext | None, dice: random.Random, patience: float = PATIENCE) -> None:
+        self._tls, self._patience = tls, patience
+        self._speaks: Speaks | None = None
+        self._can_speak = asyncio.Event()
         self._strangers: Guests[Peer] = Guests(MOST, dice)
         self._sockets: dict[Peer, socket.socket] = {}
         self._beginning: set[asyncio.Task[None]] = set()
@@ -46,18 +57,30 @@ class Callers:
         self._strangers.leave(peer)
         self._sockets.pop(peer, None)
 
-    async def take(self, protocol: Callable[[], asyncio.Protocol]) -> None:
-        """Take calls until this is cancelled; whoever gets through has a protocol of their own."""
+    async def serve(self, opened: socket.socket) -> _Taking:
+        """Listen at a bound socket; the calls wait in the kernel until `begin`."""
+        opened.setblocking(False)
+        opened.listen()
+        return _Taking(asyncio.get_running_loop().create_task(self._take(opened)), opened)
+
+    def begin(self, speaks: Speaks) -> None:
+        """Take calls from now on; whoever gets through has a protocol of their own."""
+        self._speaks = speaks
+        self._can_speak.set()
+
+    async def _take(self, opened: socket.socket) -> None:
         loop = asyncio.get_running_loop()
+        await self._can_speak.wait()
+        assert self._speaks is not None
         while True:
             try:
-                made, name = await loop.sock_accept(self._opened)
+                made, name = await loop.sock_accept(opened)
             except OSError:
                 # They hung up again, or there is no descriptor left.
                 await asyncio.sleep(_AGAIN)
                 continue
             self._enter(made, (name[0], name[1]))
-            task = loop.create_task(self._begin(made, protocol))
+            task = loop.create_task(self._begin(made, self._speaks))
             self._beginning.add(task)
             task.add_done_callback(self._beginning.discard)
 
@@ -74,10 +97,10 @@ class Callers:
             self.known(peer)
             _hang_up(made)
 
-    async def _begin(self, made: socket.socket, protocol: Callable[[], asyncio.Protocol]) -> None:
+    async def _begin(self, made: socket.socket, speaks: Speaks) -> None:
         loop = asyncio.get_running_loop()
         try:
-            await loop.connect_accepted_socket(protocol, made, ssl=self._tls)
+            await loop.connect_accepted_socket(speaks, made, ssl=self._tls)
         except OSError:
             # It was no TLS, or they have gone.
             made.close()

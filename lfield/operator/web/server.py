@@ -6,7 +6,6 @@ NiceGUI brings server, page and components; it is imported when a page is served
 from __future__ import annotations
 
 import asyncio
-import random
 import secrets
 import socket
 from collections.abc import Callable, Generator
@@ -25,7 +24,6 @@ from lfield.operator.sight.actions import Actions
 from lfield.operator.sight.seen import Sight
 from lfield.operator.web.answers import answered, ordered
 from lfield.operator.web.buttons import REASON, buttons, refusal, told
-from lfield.operator.web.callers import Callers
 from lfield.operator.web.door import Door
 from lfield.operator.web.gate import Gate
 from lfield.operator.web.look import Looks
@@ -70,9 +68,8 @@ async def serve(served: Served, site: Site, tell: Callable[[str], None]) -> None
         cache_control_directives="no-cache",
         gzip_middleware_factory=None,
     )
-    callers = Callers(site.opened, site.tls, random.SystemRandom())
     config = uvicorn.Config(
-        Gate(app, door, f"lfield-{site.port}", tell_link, callers.known),
+        Gate(app, door, f"lfield-{site.port}", tell_link, site.callers.known),
         log_config=None,
         # Who calls is who is at the other end, whatever they say.
         proxy_headers=False,
@@ -84,7 +81,7 @@ async def serve(served: Served, site: Site, tell: Callable[[str], None]) -> None
         # Pages that are open are not waited for.
         timeout_graceful_shutdown=1,
     )
-    server = _Server(config, callers)
+    server = _Server(config, site)
     serving = asyncio.create_task(server.serve([]))
     tell_link()
     try:
@@ -92,24 +89,22 @@ async def serve(served: Served, site: Site, tell: Callable[[str], None]) -> None
     finally:
         server.should_exit = True
         await asyncio.gather(serving, return_exceptions=True)
-        site.opened.close()
+        site.close()
 
 
 class _Server(uvicorn.Server):
-    """One that leaves Ctrl-C to the command, and the taking of calls to `callers`."""
+    """One that leaves Ctrl-C to the command, and the sockets to a site."""
 
-    def __init__(self, config: uvicorn.Config, callers: Callers) -> None:
+    def __init__(self, config: uvicorn.Config, site: Site) -> None:
         super().__init__(config)
-        self._callers = callers
-        self._taking: asyncio.Task[None] | None = None
+        self._site = site
 
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
         await super().startup(sockets)
-        self._taking = asyncio.create_task(self._callers.take(self._protocol))
+        self._site.callers.begin(self._protocol)
 
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
-        if self._taking is not None:
-            self._taking.cancel()
+        self._site.close()
         await super().shutdown(sockets)
 
     def _protocol(self) -> asyncio.Protocol:

@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 import errno
-import socket
+import random
 import ssl
+from collections.abc import Callable
 from dataclasses import dataclass
 from ipaddress import ip_address
 from typing import TYPE_CHECKING
 
+from lfield.authority.pages.names import address_in
 from lfield.errors import AddressError, KeysError
+from lfield.net.paths.listener import PortListener
+from lfield.net.paths.names import looked_up
 from lfield.net.paths.reasons import refusal
 from lfield.net.tls import as_file
-from lfield.net.transport import join_address
+from lfield.net.transport import join_address, split_address
+from lfield.operator.web.callers import Callers
 
 if TYPE_CHECKING:
     from lfield.authority.pages.page_keys import PageKeys
@@ -22,86 +27,88 @@ LOOPBACK = "127.0.0.1"
 _USUAL = {"http": 80, "https": 443}
 
 _NOT_HERE = "it is no address of this computer; 'ip address' lists those that it has"
+_LINK_LOCAL = "no browser opens a page at a link-local address of IPv6; give another address, or a name"
+_UNKNOWN = "nobody here knows the address of that name; give the address"
 
 
 @dataclass(frozen=True, slots=True)
 class Site:
-    """A socket that listens, and the names by which browsers reach it, the first in the link; maybe TLS."""
+    """Where a page is served: its port, and the names by which browsers reach it, the first in the link.
 
-    opened: socket.socket
+    `callers` takes the calls at the sockets of `listener`.
+    """
+
+    port: int
     names: tuple[str, ...]
-    tls: ssl.SSLContext | None = None
-
-    @property
-    def scheme(self) -> str:
-        """http or https."""
-        return "http" if self.tls is None else "https"
-
-    @property
-    def port(self) -> int:
-        """The port on which it listens."""
-        port: int = self.opened.getsockname()[1]
-        return port
+    scheme: str
+    callers: Callers
+    listener: PortListener
 
     @property
     def addresses(self) -> list[str]:
         """What browsers name when they ask for the page, by each of its names."""
-        joined = [join_address(name, self.port) for name in self.names]
-        if self.port == _USUAL[self.scheme]:
-            return [address.removesuffix(f":{self.port}") for address in joined]
-        return joined
+        return addresses_of(self.names, self.port, self.scheme)
 
     def link(self, token: str) -> str:
         """The link that opens the page."""
         return f"{self.scheme}://{self.addresses[0]}/?token={token}"
 
+    def close(self) -> None:
+        """Take no more calls."""
+        self.listener.close()
 
-def on_this_computer(port: int) -> Site:
+
+def addresses_of(names: tuple[str, ...], port: int, scheme: str) -> list[str]:
+    """Names with the port, which browsers leave out where it is the usual one."""
+    joined = [join_address(name, port) for name in names]
+    return [address.removesuffix(f":{port}") for address in joined] if port == _USUAL[scheme] else joined
+
+
+async def on_this_computer(port: int, note: Callable[[str], None]) -> Site:
     """A site for the browsers of this computer; on any free port for 0. Raises AddressError."""
-    return Site(_listening(LOOPBACK, port), (LOOPBACK, "localhost"))
+    return await _opened((LOOPBACK, "localhost"), port, None, note)
 
 
-def on_a_network(name: str, port: int, keys: PageKeys) -> Site:
-    """A site at an address of this computer, or at that of a name; by https, which these keys are for.
+async def on_a_network(name: str, port: int, keys: PageKeys, note: Callable[[str], None]) -> Site:
+    """A site at an address of this computer, or where a name leads; by https, which these keys are for.
 
-    Raises AddressError, KeysError.
+    A name is followed as long as the page is served; `note` takes a line about it. Raises AddressError,
+    KeysError.
     """
     tls = _tls(keys)
+    await _check(name)
     # A star is no name that a browser sends.
     others = [other for other in keys.names if other != name and not other.startswith("*")]
-    return Site(_listening(_address_of(name), port), (name, *others), tls)
+    return await _opened((name, *others), port, tls, note)
 
 
-def _address_of(name: str) -> str:
-    """The address of a name that other computers reach, or the address itself. Raises AddressError."""
+async def _opened(
+    names: tuple[str, ...], port: int, tls: ssl.SSLContext | None, note: Callable[[str], None]
+) -> Site:
+    callers = Callers(tls, random.SystemRandom())
+    listener = PortListener(join_address(names[0], port), callers.serve, note, _why)
+    await listener.open()
+    real = split_address(listener.address)[1]
+    return Site(real, names, "http" if tls is None else "https", callers, listener)
+
+
+async def _check(name: str) -> None:
+    """Raises AddressError for what is no place for a page on a network."""
+    address = address_in(name)
+    if address is not None:
+        if address.version == 6 and address.is_link_local:
+            raise AddressError(name, _LINK_LOCAL)
+        return
     try:
-        return str(ip_address(name))
-    except ValueError:
-        pass
-    try:
-        rows = socket.getaddrinfo(name, None, type=socket.SOCK_STREAM)
-    except OSError:
-        raise AddressError(name, "nobody here knows the address of that name; give the address") from None
-    found = [str(row[4][0]) for row in rows]
-    for address in found:
-        if not ip_address(address.partition("%")[0]).is_loopback:
-            return address
-    raise AddressError(name, f"it is {found[0]} here, which no other computer reaches; give the address")
+        found = [str(at.address[0]) for at in await looked_up(name, 0, passive=True)]
+    except (OSError, UnicodeError):
+        raise AddressError(name, _UNKNOWN) from None
+    if all(ip_address(other.partition("%")[0]).is_loopback for other in found):
+        raise AddressError(name, f"it is {found[0]} here, which no other computer reaches; give the address")
 
 
-def _listening(address: str, port: int) -> socket.socket:
-    """A socket on which the page is served. Raises AddressError."""
-    opened = socket.socket(socket.AF_INET6 if ":" in address else socket.AF_INET, socket.SOCK_STREAM)
-    opened.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-    try:
-        opened.bind((address, port))
-        # Whoever opens the link at once is not turned away.
-        opened.listen()
-    except OSError as error:
-        opened.close()
-        why = _NOT_HERE if error.errno == errno.EADDRNOTAVAIL else refusal(error)
-        raise AddressError(join_address(address, port), why) from None
-    return opened
+def _why(error: OSError | UnicodeError) -> str:
+    return _NOT_HERE if getattr(error, "errno", None) == errno.EADDRNOTAVAIL else refusal(error)
 
 
 def _tls(keys: PageKeys) -> ssl.SSLContext:

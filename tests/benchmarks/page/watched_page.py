@@ -39,7 +39,7 @@ async def main(folder: str, count: int) -> None:
 
     page = Served("bench", shown, NobodyActs(), clock)  # type: ignore[arg-type]
     await asyncio.gather(
-        serve(page, on_this_computer(0), lambda link: print(link, flush=True)),
+        serve(page, await on_this_computer(0, print), lambda link: print(link, flush=True)),
         shown.tick(),
         Follower(observer(), hosts, reach, shown, clock, telemetry=RATE).run(),
     )

@@ -113,7 +113,7 @@ class StrangersPeers:
     """Who keeps a link of a caller that never greets."""
 
     def __init__(self, note):
-        self.complain = Complaints(note).say
+        self.complain = Complaints(note, self.now).say
 
     def now(self):
         return 0.0

@@ -246,6 +246,49 @@ def test_a_port_that_listens_follows_the_name_of_this_computer(monkeypatch):
     asyncio.run(talk())
 
 
+@pytest.mark.parametrize("talks", [True, False])
+def test_a_port_that_listens_is_bound_later_where_it_could_not_be(monkeypatch, talks):
+    """Whether or not a vehicle sends to the other address meanwhile, whose socket is kept."""
+
+    async def talk():
+        story = Story()
+        one, _ = await vehicle(b"1", "127.0.0.2")
+        other, _ = await vehicle(b"2", "127.0.0.3")
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
+            taken.bind(("127.0.0.3", 0))
+            port = taken.getsockname()[1]
+            found = [(socket.AF_INET, (f"127.0.0.{host}", port)) for host in (2, 3)]
+
+            async def addresses(self, within):
+                return found
+
+            monkeypatch.setattr(Lookup, "addresses", addresses)
+            link = story.link(f"udpin:robot.local:{port}")
+            await link.open()
+            (kept,) = link._sockets.open
+            assert [note for note in story.notes if "127.0.0.3: Address already in use" in note]
+            await asyncio.sleep(0.3)
+            assert sum("127.0.0.3" in note for note in story.notes) == 1
+
+        def comes():
+            if talks:
+                one.transport.sendto(b"1", ("127.0.0.2", port))
+            other.transport.sendto(b"2", ("127.0.0.3", port))
+            return b"2" in story.got
+
+        await until(comes)
+        assert any("it listens at 127.0.0.3" in note for note in story.notes)
+        assert kept in link._sockets.open
+        # It answers each over the socket that it has sent to.
+        link.send(b"?")
+        await until(lambda: ("127.0.0.3", port) in other.peers)
+        link.close()
+        for made in (one, other):
+            made.transport.close()
+
+    asyncio.run(talk())
+
+
 @pytest.mark.parametrize(
     ("text", "parts"),
     [

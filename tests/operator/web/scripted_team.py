@@ -345,8 +345,10 @@ async def main() -> None:
     threading.Thread(target=read, daemon=True).start()
     tiles = Tiles(args.tiles) if args.tiles else None
     served = Served("first-flight", script, script, SystemClock(), tiles)
-    here = on_this_computer(args.port) if args.listen is None else None
-    site = here or on_a_network(args.listen, args.port, read_page(args.page_keys))
+    if args.listen is None:
+        site = await on_this_computer(args.port, print)
+    else:
+        site = await on_a_network(args.listen, args.port, read_page(args.page_keys), print)
     await serve(served, site, lambda link: print(link, flush=True))
 
 

@@ -64,12 +64,14 @@ def tried(story: Callable[..., Awaitable[None]]) -> None:
                 what(*words)
 
         with socket.create_server(("127.0.0.1", 0)) as opened:
-            callers = Callers(opened, None, random.Random(1), HELD)
-            taking = asyncio.create_task(callers.take(Echo))
+            callers = Callers(None, random.Random(1), HELD)
+            callers.begin(Echo)
+            name = opened.getsockname()
+            taking = await callers.serve(opened)
             made: list[Caller] = []
 
             async def call() -> Caller:
-                made.append(Caller(*await asyncio.open_connection(*opened.getsockname())))
+                made.append(Caller(*await asyncio.open_connection(*name)))
                 assert await made[-1].heard()
                 return made[-1]
 
@@ -77,7 +79,7 @@ def tried(story: Callable[..., Awaitable[None]]) -> None:
             try:
                 await story(callers, call, late)
             finally:
-                taking.cancel()
+                taking.close()
                 for caller in made:
                     caller.writer.close()
 

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import http.client
 import socket
 import ssl
@@ -18,8 +19,9 @@ from real_browser import Browser, believing, needs_browser
 from lfield.authority.pages.browsers import Browsers, new_browsers
 from lfield.authority.pages.page_keys import PageKeys, read_page, write_page
 from lfield.errors import AddressError, KeysError
+from lfield.net.paths import listener
 from lfield.operator.web.door import FOREIGN_ADDRESS, FOREIGN_PAGE, NO_SESSION, OLD_LINK, Door
-from lfield.operator.web.site import Site, on_a_network
+from lfield.operator.web.site import addresses_of, on_a_network
 
 ADDRESS, NAME, DAY = "127.0.0.2", "ground.local", 86400.0
 
@@ -176,38 +178,84 @@ def keys(folder: Path) -> PageKeys:
 
 
 def test_a_site_has_the_names_of_its_certificate(keys: PageKeys) -> None:
-    site = on_a_network(ADDRESS, 0, keys)
-    port = site.port
-    assert site.addresses == [f"{ADDRESS}:{port}", f"{NAME}:{port}"]
-    assert site.link("t") == f"https://{ADDRESS}:{port}/?token=t"
-    site.opened.close()
+    async def story() -> None:
+        site = await on_a_network(ADDRESS, 0, keys, print)
+        port = site.port
+        assert site.addresses == [f"{ADDRESS}:{port}", f"{NAME}:{port}"]
+        assert site.link("t") == f"https://{ADDRESS}:{port}/?token=t"
+        site.close()
+
+    asyncio.run(story())
 
 
-class Bound:
-    """A socket that says that it listens on a port."""
+class Echo(asyncio.Protocol):
+    """Sends back what comes."""
 
-    def __init__(self, port: int) -> None:
-        self.port = port
+    def connection_made(self, transport) -> None:
+        self.transport = transport
 
-    def getsockname(self) -> tuple[str, int]:
-        return "", self.port
+    def data_received(self, data: bytes) -> None:
+        self.transport.write(data)
+
+
+async def answers(address: str, port: int, root: Browsers) -> bool:
+    """Whether a browser that believes this root reaches the page at an address."""
+    context = ssl.create_default_context(cadata=root.certificate.decode())
+    try:
+        reader, writer = await asyncio.open_connection(address, port, ssl=context, server_hostname=NAME)
+    except OSError:
+        return False
+    writer.write(b"?")
+    answered = await reader.readexactly(1) == b"?"
+    writer.close()
+    return answered
+
+
+def test_a_page_is_served_where_its_name_leads_now(keys: PageKeys, root: Browsers, monkeypatch) -> None:
+    """Also at the other family, and where an address of the name is not there yet."""
+    leads, real = ["192.0.2.1", "127.0.0.2", "10.99.99.99"], socket.getaddrinfo
+
+    def found(host, port, *words, flags=0, **more):
+        hosts = leads if host == NAME and not flags & socket.AI_NUMERICHOST else [host]
+        return [row for host in hosts for row in real(host, port, *words, flags=flags, **more)]
+
+    monkeypatch.setattr(socket, "getaddrinfo", found)
+    monkeypatch.setattr(listener, "CHECK_EVERY", 0.01)
+
+    async def story() -> None:
+        notes: list[str] = []
+        site = await on_a_network(NAME, 0, keys, notes.append)
+        site.callers.begin(Echo)
+        assert await answers("127.0.0.2", site.port, root)
+        leads[:] = ["192.0.2.1", "::1"]
+        async with asyncio.timeout(30.0):
+            while not await answers("::1", site.port, root) or await answers("127.0.0.2", site.port, root):
+                await asyncio.sleep(0.01)
+        assert f"this computer listens at [::1]:{site.port}, too: {NAME} leads there now" in notes
+        assert any("cannot listen at 192.0.2.1:" in note and "'ip address' lists" in note for note in notes)
+        site.close()
+        await asyncio.sleep(0)
+        assert not await answers("::1", site.port, root)
+
+    asyncio.run(story())
 
 
 @pytest.mark.parametrize(
-    ("port", "tls", "addresses"),
+    ("port", "scheme", "addresses"),
     [
-        (8470, True, ["10.0.0.1:8470", "[fd00::2]:8470"]),
-        (443, True, ["10.0.0.1", "[fd00::2]"]),
-        (80, True, ["10.0.0.1:80", "[fd00::2]:80"]),
-        (80, False, ["10.0.0.1", "[fd00::2]"]),
+        (8470, "https", ["10.0.0.1:8470", "[fd00::2]:8470"]),
+        (443, "https", ["10.0.0.1", "[fd00::2]"]),
+        (80, "https", ["10.0.0.1:80", "[fd00::2]:80"]),
+        (80, "http", ["10.0.0.1", "[fd00::2]"]),
     ],
 )
-def test_browsers_leave_out_the_usual_port(port: int, tls: bool, addresses: list[str]) -> None:
-    context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER) if tls else None
-    site = Site(Bound(port), ("10.0.0.1", "fd00::2"), context)  # type: ignore[arg-type]
-    assert site.addresses == addresses
-    assert site.link("t") == f"http{'s' if tls else ''}://{addresses[0]}/?token=t"
-    assert Door(site.addresses, str, site.scheme).secure is tls
+def test_browsers_leave_out_the_usual_port(port: int, scheme: str, addresses: list[str]) -> None:
+    assert addresses_of(("10.0.0.1", "fd00::2"), port, scheme) == addresses
+    assert Door(addresses, str, scheme).secure is (scheme == "https")
+
+
+def site_at(name: str, keys: PageKeys) -> None:
+    asyncio.run(on_a_network(name, 0, keys, print))
 
 
 def unknown(*words: object, **more: object) -> list[object]:
@@ -216,15 +264,18 @@ def unknown(*words: object, **more: object) -> list[object]:
 
 def test_what_is_no_address_of_this_computer_is_told(keys: PageKeys, monkeypatch) -> None:
     with pytest.raises(AddressError, match="it is no address of this computer"):
-        on_a_network("10.99.99.99", 0, keys)
+        site_at("10.99.99.99", keys)
+    for address in ("fe80::1", "fe80::1%eth0"):
+        with pytest.raises(AddressError, match="no browser opens a page at a link-local address of IPv6"):
+            site_at(address, keys)
     with pytest.raises(AddressError, match="which no other computer reaches; give the address"):
-        on_a_network("localhost", 0, keys)
+        site_at("localhost", keys)
     monkeypatch.setattr(socket, "getaddrinfo", unknown)
     with pytest.raises(AddressError, match="nobody here knows the address of that name"):
-        on_a_network(NAME, 0, keys)
+        site_at(NAME, keys)
 
 
 def test_keys_that_openssl_cannot_use_are_told(keys: PageKeys) -> None:
     broken = PageKeys(keys.names, keys.begins, keys.ends, keys.certificate, b"")
     with pytest.raises(KeysError, match="the page's keys cannot be used"):
-        on_a_network(ADDRESS, 0, broken)
+        site_at(ADDRESS, broken)
