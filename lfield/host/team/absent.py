@@ -27,7 +27,7 @@ LOST_AFTER = 0.5
 #: Seconds without anything from a linked host after which nobody is sent there who need not go.
 SILENT_FOR = 2.0
 #: A host that was heard this many seconds ago need not be asked for a sign of life.
-JUST_NOW = 0.02
+JUST_NOW = 0.1
 #: Seconds that whoever is over a time limit waits for a sign of life.
 GRACE = 0.3
 

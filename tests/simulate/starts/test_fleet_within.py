@@ -214,7 +214,7 @@ def test_a_copy_in_doubt_stays_and_the_exception_says_by_how_much_it_is_late(tmp
     """It has been sent when the links fall silent: nothing is sent twice, and nothing is taken back."""
     body = 'within (4.0) { findPost("two").work(2, 0.5); }'
     seconds, how = ends(
-        tmp_path, body, {0.02: island("carol", quietly=True), 12.0: lambda fleet: fleet.heal_all()}
+        tmp_path, body, {0.0: island("carol", quietly=True), 12.0: lambda fleet: fleet.heal_all()}
     )
     assert seconds > 12.0
     late = re.match(r"time limit: the time is over, ([0-9.]+) s late(.*)", how)
