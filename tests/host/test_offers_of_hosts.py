@@ -41,6 +41,13 @@ IDLE = CRANES + "coordinator Foreman { init(string[] arg) { Lift[] who = findLif
 TWO_HOSTS = "//Crane:near@alpha\n//Foreman:foreman@alpha\n//Crane:small@bravo\n//Crane:far@bravo\n"
 
 
+def on_the_ground(running):
+    """What the host tells others: each vehicle is on the ground. A start waits until it says so."""
+    guards, host = running.host.guards, running.host
+    landed = {device.name: {"landed": True} for device in host.mission.devices_of(host.name)}
+    guards.__class__ = type("OnTheGround", (type(guards),), {"telemetry": landed})
+
+
 class Devices:
     """The devices of one host, by hand: what they last said, and what is wrong with them."""
 
@@ -52,11 +59,15 @@ class Devices:
         guards.open = self.open
         guards.last = self.last
         guards.trouble = self.troubles.get
+        on_the_ground(running)
 
     async def open(self, devices):
         pass
 
     def last(self, device, quantity):
+        if quantity == "landed":
+            # Each vehicle is on the ground: a start waits until it says so.
+            return Observation(True, self.clock.monotonic())
         self.asked += 1
         if (device, quantity) not in self.values:
             return None
@@ -225,8 +236,6 @@ def test_nothing_is_asked_or_sent_for_a_program_that_names_no_capability(fleet):
 
     async def story(team):
         alpha, _, near, far = await two_hosts(team, program)
-        # The start of the foreman has looked whether a vehicle of this host is off the ground.
-        near.asked = 0
         near.values["near.fc", "battery"] = (0.5, 0.0)
         await asyncio.sleep(10.0)
         assert team.network.sent["Report"] == 0

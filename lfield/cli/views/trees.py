@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import sys
 from collections.abc import Iterable, Iterator
 from typing import TYPE_CHECKING
@@ -27,7 +26,7 @@ def plain_console() -> Console:
     from lfield.cli.views.console import PlainConsole
 
     console = PlainConsole(file=unguarded(sys.stdout), markup=False, highlight=False, emoji=False)
-    if not console.is_terminal and "COLUMNS" not in os.environ:
+    if not console.is_terminal:
         console.width = UNFOLDED
     return console
 
