@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
-from types import MappingProxyType, SimpleNamespace
+from types import MappingProxyType
 from typing import cast
 
 from lfield.authority.identity import ALL, Identity
@@ -47,9 +47,10 @@ PATIENCE = 120.0
 LAST_WORDS = 5
 
 
-#: Who gives commands, as somebody at a desk does, and waits for no answer.
-_TEST = Identity("person", "the test", ALL)
-_PERSON = cast(Link, SimpleNamespace(peer="the test", who=_TEST, send=lambda message: None))
+class _Desk:
+    """The link of the person who gives commands in a test; it ignores the answers."""
+
+    peer, who, send = "the test", Identity("person", "the test", ALL), staticmethod(lambda message: None)
 
 
 class Team:
@@ -359,7 +360,7 @@ class Team:
     def _command(self, word: Control) -> None:
         self._be_open()
         for life in self._fleet.lives.values():
-            life.process.loop.enter(partial(life.host.received, "", word, _PERSON))
+            life.process.loop.enter(partial(life.host.received, "", word, cast(Link, _Desk)))
 
     def close(self) -> None:
         """End all that runs, at once; what was recorded can still be read.

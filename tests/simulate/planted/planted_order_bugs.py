@@ -74,11 +74,11 @@ def _bug(plant: Any, why: str, found: str, seed: int, draws: Any = ordered) -> B
 
 ORDER_BUGS = [
     _bug(
-        a_stop_is_forgotten_by_a_restart, "a host that was started again lets programs release", "stop", 201
+        a_stop_is_forgotten_by_a_restart, "a host that was started again lets programs release", "stop", 185
     ),
-    _bug(a_pause_is_forgotten_by_a_restart, "a host that was started again runs its agents", "pause", 1),
-    _bug(a_stop_bars_nobody, "a program releases what a person has stopped", "stop", 2),
-    _bug(a_pause_leaves_devices_alone, "a device goes on with its last setpoint", "pause", 9),
+    _bug(a_pause_is_forgotten_by_a_restart, "a host that was started again runs its agents", "pause", 2),
+    _bug(a_stop_bars_nobody, "a program releases what a person has stopped", "stop", 13),
+    _bug(a_pause_leaves_devices_alone, "a device goes on with its last setpoint", "pause", 1),
     _bug(
         an_order_that_comes_late_ends_a_newer_stop,
         "a stop that was pressed after it was given ends by it",

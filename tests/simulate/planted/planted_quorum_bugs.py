@@ -134,7 +134,7 @@ QUORUM_BUGS = [
     _bug(
         the_first_acknowledgement_is_enough,
         "of more than three members a minority that hears itself keeps its lease",
-        96,
+        16,
         split,
     ),
     _bug(running_without_a_lease, "who is cut off works on while others go on", 95),
@@ -148,7 +148,7 @@ QUORUM_BUGS = [
     _bug(
         the_fence_is_not_on_disk,
         "whoever has promised is started again, and gives a lease to what it has barred",
-        12,
+        5,
         parted,
     ),
 ]
