@@ -11,4 +11,5 @@ PLUGIN = Plugin(
     manifests=("axis.yaml", "signals.yaml"),
     kit="lfield_can.kit:KIT",
     endpoint="lfield_can.bus.endpoint:parse_endpoint",
+    files="lfield_can.driver:mistakes_in",
 )

@@ -3,11 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
 
-from lfield.driver import Clock, DeviceBinding, Driver, Manifest, Reports
+from lfield.driver import (
+    Clock,
+    DeviceBinding,
+    DeviceError,
+    Diagnostic,
+    Driver,
+    Manifest,
+    Reports,
+    read_within,
+)
 from lfield_can.axis import CanAxis
 from lfield_can.bus.bus import Bus
 from lfield_can.bus.frames import Frame, group_of
+from lfield_can.dbc import DbcError, DbcFile
+from lfield_can.eds import EdsError, parse_eds
+from lfield_can.protocols.canopen_node import MOST_BYTES, read_eds
 from lfield_can.protocols.cia402_tables import EVERY
 from lfield_can.signals import CanSignals
 from lfield_can.timing import Sync
@@ -99,3 +112,25 @@ class CanDriver(Driver):
         """The ids on the bus that are no device's here, in words; '' for none."""
         ids = [f"0x{frame.id:X}{' (29 bits)' * frame.extended}" for frame in self._strangers.values()]
         return ", ".join(ids[:SHOWN_STRANGERS]) + (", ..." if len(ids) > SHOWN_STRANGERS else "")
+
+
+def mistakes_in(option: str, file: str) -> Sequence[Diagnostic]:
+    """The mistakes for which the driver refuses the file of an option, `dbc` or `eds`.
+
+    Raises DeviceError for a file that cannot be read, or has mistakes without a place.
+    """
+    try:
+        if option == "dbc":
+            DbcFile(file)
+        elif Path(file).suffix.lower() == ".epf":
+            read_eds(option, file, 1)
+        else:
+            parse_eds(file, read_within(Path(file), MOST_BYTES))
+    except (DbcError, EdsError) as error:
+        if error.findings:
+            return error.findings
+        raise DeviceError(option, str(error)) from None
+    except (OSError, ValueError) as error:
+        why = getattr(error, "strerror", None) or str(error)
+        raise DeviceError(option, f"{file} cannot be read: {why}") from None
+    return ()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from functools import partial
+from itertools import count
 from typing import Any
 
 from lfield.driver import DeviceBinding, DeviceError, Driver
@@ -124,18 +125,24 @@ class MavlinkDriver(Driver):
         problems = [error for error in opened if isinstance(error, BaseException)]
         if len(problems) == len(self._ports) or any(not isinstance(e, DeviceError) for e in problems):
             raise problems[0]
-        for port, error in zip(self._ports, opened, strict=True):
+        for name, port, error in zip(split_endpoint(self.endpoint), self._ports, opened, strict=True):
             if isinstance(error, DeviceError):
                 self._note(f"{error.reason}; it goes on with the other links")
-                self.spawn(self._open_later(port.link))
+                self.spawn(self._open_later(name, port.link, error.reason))
 
-    async def _open_later(self, link: Link) -> None:
-        while True:
+    async def _open_later(self, name: str, link: Link, reason: str) -> None:
+        """Open a link as soon as that is possible; each reason why it is not yet is logged once."""
+        told = {reason}
+        for attempt in count(2):
             await asyncio.sleep(AGAIN)
             try:
                 await link.open()
-            except DeviceError:
+            except DeviceError as error:
+                if error.reason not in told:
+                    told.add(error.reason)
+                    self._note(f"{error.reason} (attempt {attempt})")
                 continue
+            self._note(f"{name} is open now, after {attempt} attempts")
             return
 
     # -- messages -------------------------------------------------------------------------------------

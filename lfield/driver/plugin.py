@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from lfield.driver.contract import Manifest
     from lfield.driver.device import Driver
     from lfield.driver.known import KnownDriver
+    from lfield.text.source import Diagnostic
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,7 +36,10 @@ class Plugin:
     own. `endpoint` is the path of a function that parses the text of an endpoint and raises DeviceError for
     one that is none: it opens nothing, and runs where missions are built; '' where only opening one tells.
     `conflicts` is the path of a function that takes all bindings of the driver in a mission, and gives those
-    that cannot be beside the others, each with a sentence; it runs there too, '' for none.
+    that cannot be beside the others, each with a sentence; it runs there too, '' for none. `files` is the
+    path of a function that takes the name of an option of type `path` and the file, and gives the mistakes in
+    the file, each with its place; it raises DeviceError for a file that cannot be read; it runs there too, ''
+    where only opening tells.
     """
 
     name: str
@@ -47,6 +51,7 @@ class Plugin:
     kit: str = ""
     endpoint: str = ""
     conflicts: str = ""
+    files: str = ""
 
     @property
     def missing(self) -> list[str]:
@@ -148,6 +153,21 @@ class Plugin:
         except Exception as error:  # foreign code, as below
             raise PluginError(f"driver '{self.name}' cannot compare its bindings: {error}") from error
 
+    def mistakes_in(self, option: str, file: str) -> list[Diagnostic]:
+        """The mistakes in a file that an option of a binding names.
+
+        Raises DeviceError for a file that cannot be read, PluginError where the driver breaks.
+        """
+        if not self.files or self.missing:
+            return []
+        find = self._named(self.files)
+        try:
+            return list(find(option, file))
+        except DeviceError:
+            raise
+        except Exception as error:  # foreign code, as below
+            raise PluginError(f"driver '{self.name}' cannot read {file}: {error}") from error
+
     def _load(self, path: str) -> Any:
         missing = [vendor for vendor in self.requires if not _importable(vendor)]
         if missing:
@@ -200,6 +220,18 @@ def conflicts_of(known: KnownDriver, bindings: Sequence[DeviceBinding]) -> list[
     except PluginError:
         return []
     return plugin.conflicts_of(bindings)
+
+
+def mistakes_in(known: KnownDriver, option: str, file: str) -> list[Diagnostic]:
+    """The mistakes in a file that an option names; none where the driver is not installed here.
+
+    Raises DeviceError for a file that cannot be read.
+    """
+    try:
+        plugin = load_plugin(known.reference)
+    except PluginError:
+        return []
+    return plugin.mistakes_in(option, file)
 
 
 def why_no_endpoint(known: KnownDriver, text: str) -> str:

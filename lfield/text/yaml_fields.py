@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from difflib import get_close_matches
 
 from lfield.text.source import Diagnostic, Diagnostics, Span
@@ -28,6 +28,11 @@ class Fields:
     def report(self, code: str, message: str, span: Span, hint: str = "") -> None:
         """Add an error."""
         self._found.add(Diagnostic(code, message, span, hint))
+
+    def add(self, findings: Iterable[Diagnostic]) -> None:
+        """Add what was found in a file that is named here."""
+        for finding in findings:
+            self._found.add(finding)
 
     def node(self, key: str, *, required: bool = False) -> Node | None:
         """The value of a key, whatever it is."""

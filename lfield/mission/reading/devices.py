@@ -9,7 +9,8 @@ from lfield.driver.binding import LEAST_AFTER, DeviceBinding, OptionValue, Witho
 from lfield.driver.contract import Manifest, Option
 from lfield.driver.frame import Placement
 from lfield.driver.known import Drivers, KnownDriver
-from lfield.driver.plugin import conflicts_of, why_no_endpoint
+from lfield.driver.plugin import conflicts_of, mistakes_in, why_no_endpoint
+from lfield.errors import DeviceError
 from lfield.text.source import Span
 from lfield.text.visible import as_text
 from lfield.text.yaml_fields import Fields
@@ -23,6 +24,8 @@ class DevicesReader:
         self._drivers, self._folder, self._simulate = drivers, folder, simulate
         # What was read, each with its fields and where its name stands.
         self._read: list[tuple[DeviceBinding, Fields, Span]] = []
+        #: The files that options name, whose mistakes are told once.
+        self._files: set[tuple[str, str, str]] = set()
 
     def devices(
         self, agent: str, fields: Fields, needed: Mapping[str, str], placement: Placement | None
@@ -83,7 +86,7 @@ class DevicesReader:
             safe_state=_safe_state(fields, manifest),
             without_policy=_without_policy(fields, manifest),
             limits=self._device_limits(fields, manifest),
-            options=self._options(fields, manifest),
+            options=self._options(fields, manifest, driver),
             waivers=list(reasons),
             reasons={waiver: reason for waiver, reason in reasons.items() if reason},
             frame=placement,
@@ -126,16 +129,16 @@ class DevicesReader:
         section.done()
         return limits
 
-    def _options(self, fields: Fields, manifest: Manifest) -> dict[str, OptionValue]:
+    def _options(self, fields: Fields, manifest: Manifest, driver: KnownDriver) -> dict[str, OptionValue]:
         options: dict[str, OptionValue] = {}
         for option in manifest.options:
-            value = self._option(fields, option)
+            value = self._option(fields, option, driver)
             if value is not None:
                 options[option.name] = value
         return options
 
-    def _path(self, fields: Fields, key: str) -> str:
-        """A file as seen from the folder of the devices file."""
+    def _path(self, fields: Fields, key: str, driver: KnownDriver) -> str:
+        """A file as seen from the folder of the devices file, which is read as its driver will read it."""
         text = fields.text(key)
         path = self._folder / text
         if text and not path.is_file():
@@ -144,9 +147,15 @@ class DevicesReader:
         if text and whole != as_text(whole):
             told = f"the file is at {as_text(whole)}, which is no UTF-8 and cannot travel with a binding"
             fields.report("Y113", told, fields.value_span(key), "rename the folder or the file")
+        if text and path.is_file() and (driver.name, key, whole) not in self._files:
+            self._files.add((driver.name, key, whole))
+            try:
+                fields.add(mistakes_in(driver, key, str(path)))
+            except DeviceError as error:
+                fields.report("Y113", error.reason, fields.value_span(key))
         return whole if text else ""
 
-    def _option(self, fields: Fields, option: Option) -> OptionValue | None:
+    def _option(self, fields: Fields, option: Option, driver: KnownDriver) -> OptionValue | None:
         required = option.default is None
         if option.name not in fields:
             fields.node(option.name, required=required)
@@ -156,7 +165,7 @@ class DevicesReader:
         if option.type == "string":
             return fields.text(option.name, choices=option.choices)
         if option.type == "path":
-            return self._path(fields, option.name)
+            return self._path(fields, option.name, driver)
         if option.type == "int[]":
             return list(fields.integers(option.name))
         if option.type == "string[]":

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import re
 
 import pytest
 
@@ -97,6 +98,7 @@ def test_a_link_that_cannot_be_opened_is_told_and_tried_again(bench):
     b.refused = {1}
 
     async def mission(fc):
+        await asyncio.sleep(3.5)
         b.links[1].refused = False
         await asyncio.sleep(2.0)
         b.links[0].cut = True
@@ -104,7 +106,10 @@ def test_a_link_that_cannot_be_opened_is_told_and_tried_again(bench):
         await fc.execute("arm", [])
 
     b.run(mission)
-    assert "cannot open link 1; it goes on with the other links" in b.notes
+    told = [note for note in b.notes if "open" in note]
+    assert told[0] == "cannot open link 1; it goes on with the other links"
+    assert re.fullmatch(r"\S+ is open now, after [4-6] attempts", told[1])
+    assert len(told) == 2
 
 
 def test_no_link_at_all_is_an_error(bench):
