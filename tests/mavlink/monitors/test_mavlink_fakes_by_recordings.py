@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import pytest
 from recorded_flight import events
 
@@ -171,3 +173,51 @@ def test_it_flies_on_with_a_glitch_and_without_compasses(name, note, fault):
     flight.wait(7.0)
     assert_alike(real, flight.said(began))
     assert flight.autopilot.mode == "GUIDED"
+
+
+def test_a_forced_disarm_in_flight_is_a_fall_and_it_can_be_armed_at_once():
+    heights, began = [], None
+    for event in events("ap-copter.gauntlet-b"):
+        if "forced disarm by a second station" in event.note and began is None:
+            began = event.at
+        if began is not None and event.at > began + 1.4:
+            break
+        if (
+            began is not None
+            and event.message is not None
+            and event.message.get_type() == "LOCAL_POSITION_NED"
+        ):
+            heights.append((event.at - began, -event.message.z))
+    flight = Flight()
+    began, top = flight.autopilot.now, -flight.autopilot.vehicle.place[2]
+    assert flight.command(dialect.MAV_CMD_COMPONENT_ARM_DISARM, 0, 21196) == dialect.MAV_RESULT_ACCEPTED
+    for at, height in heights:
+        flight.wait(began + at - flight.autopilot.now)
+        lost, lost_really = top + flight.autopilot.vehicle.place[2], heights[0][1] - height
+        assert abs(lost - lost_really) < 1.2, f"{lost:.1f} m after {at:.1f} s, really {lost_really:.1f} m"
+    flight.wait(0.3)
+    assert flight.autopilot.vehicle.place[2] == pytest.approx(0.0, abs=0.3)
+    assert flight.command(dialect.MAV_CMD_COMPONENT_ARM_DISARM, 1) == dialect.MAV_RESULT_ACCEPTED
+
+
+def test_a_goal_of_another_station_is_obeyed_and_no_mode_or_text_shows_it():
+    """The packet of the recording: a place at (-20, -20), 8 m up, from system 77."""
+    goal, began, real, places = (-20.0, -20.0), None, [], []
+    for event in events("ap-copter.gauntlet-a"):
+        if "second station: GUIDED and a goal of its own" in event.note:
+            began = event.at
+        if began is None or event.message is None or event.at > began + 10.0:
+            continue
+        real.append((event.at - began, event.message))
+        if event.message.get_type() == "LOCAL_POSITION_NED":
+            places.append((event.message.x, event.message.y))
+    assert condensed(real) == []
+    assert math.dist(places[-1], goal) < math.dist(places[0], goal) - 10.0
+    flight = Flight()
+    began, place = flight.autopilot.now, flight.autopilot.vehicle.place[:2]
+    other = dialect.MAVLink(None, srcSystem=77, srcComponent=190)
+    given = dialect.MAVLink_set_position_target_local_ned_message(0, 1, 1, 1, 3576, *goal, -8.0, *[0.0] * 8)
+    flight.fake.receive("other", given.pack(other))
+    flight.wait(10.0)
+    assert flight.said(began) == []
+    assert math.dist(flight.autopilot.vehicle.place[:2], goal) < math.dist(place, goal) - 5.0
