@@ -122,12 +122,18 @@ def test_what_a_pilot_flies_is_left_to_him(desk, fly, times):
         await up(flight, 40.0)
         await by_a_pilot(flight, "LOITER")
         await mode_is(flight, "LOITER")
-        for _ in range(times):
-            pid = flight.guard_pid
-            desk.kill(pid)
-            await flight.until(lambda pid=pid: flight.guard_pid not in (0, pid), 20.0, "the next guard")
-            await flight.until(lambda: flight.moving, 20.0, "a word of it")
-        assert flight.moving.startswith("flown by a pilot in LOITER, ")
+        for already in range(times):
+            desk.kill(flight.guard_pid)
+            # Each guard must be back at work before the next one dies: without its heartbeats for 2 s the
+            # autopilot's own failsafe lands.
+            await flight.until(
+                lambda already=already: sum("left to them" in note for note in flight.notes) > already,
+                20.0,
+                "the next guard",
+            )
+            await asyncio.sleep(2.0)
+        by_a_pilot_still = "flown by a pilot in LOITER, "
+        await flight.until(lambda: (flight.moving or "").startswith(by_a_pilot_still), 20.0, "who flies it")
         await asyncio.sleep(3.0)
         assert flight.query("mode") == "LOITER"
         assert any("left to them" in note for note in flight.notes)

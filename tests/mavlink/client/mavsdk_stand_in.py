@@ -107,7 +107,7 @@ class StandIn:
 
     async def _publish(self) -> None:
         """Where it is and how it does."""
-        velocity, t = VelocityNed(0.5, 0.25, 0.0), self.telemetry
+        velocity, t = VelocityNed(0.48, 0.36, 0.0), self.telemetry
         while True:
             up = self.height
             place, ned = Position(LATITUDE, LONGITUDE, ALTITUDE + up, up), PositionNed(NORTH, EAST, -up)

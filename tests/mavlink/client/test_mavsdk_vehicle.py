@@ -46,7 +46,7 @@ def test_it_is_identified_its_telemetry_read_and_its_failsafes_looked_at():
     async def story(device, vehicle, bench):
         assert await device.open() == "PX4 copter, system 1"
         expected = {
-            "position": [NORTH, EAST, 0.0], "velocity": [0.5, 0.25, 0.0], "altitude": 0.0,
+            "position": [NORTH, EAST, 0.0], "velocity": [0.48, 0.36, 0.0], "altitude": 0.0,
             "globalPosition": [LATITUDE, LONGITUDE, ALTITUDE], "attitude": [0.0, 0.0, math.pi / 2],
             "yawRate": 0.1, "groundSpeed": 0.6, "gpsFix": 3, "satellites": 14, "battery": 0.75,
             "batteryVoltage": 12.5, "landed": True, "armed": False, "mode": "AUTO.LOITER",
@@ -68,6 +68,10 @@ def test_it_flies_goes_safe_and_what_it_refuses_is_told():
         vehicle.height = 2.5
         while not bench.values["altitude"] > 2.0:
             await asyncio.sleep(0.05)
+        # In the air and in a mode that this program did not choose, it is somebody else's.
+        with pytest.raises(DeviceError, match="which this program did not choose"):
+            await device.execute("setMode", ["AUTO.RTL"])
+        await device.execute("release", [])
         await device.execute("setMode", ["AUTO.RTL"])
         assert device.state.mode == "AUTO.RTL"
         with pytest.raises(DeviceError, match=r"mode AUTO\.LOITER refused: TEMPORARILY_REJECTED \(1\)"):
