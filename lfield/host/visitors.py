@@ -34,7 +34,7 @@ from lfield.wire.watching import Seen, Watch
 PAUSED = "the mission is paused"
 #: What holds until somebody ends it, and why that order is refused.
 STOP, PAUSE = "emergency stop", "pause"
-NEWER = "another {} came while this order to end the {} was on its way: look, and give it again"
+NEWER = "a newer {} arrived before this order to end the {}: check the state, then repeat the order"
 #: For so many seconds an emergency stop, which holds already, waits for the disk before it is answered.
 KEPT_WITHIN = 2.0
 #: For so many seconds the answer to a start waits for what other hosts say of their vehicles.
@@ -165,7 +165,8 @@ class Visitors:
         """Whether an order to end a stop or a pause is refused: that one may be newer than the order."""
         if not lift:
             self._older[hold] = {other for other in self.links() if other is not link}
-        if not lift or link not in self._older.get(hold, ()):
+            return False
+        if link not in self._older.get(hold, ()):
             return False
         why = NEWER.format(hold, hold)
         self._note(f"an order of {link.who} is not carried out: {why}")

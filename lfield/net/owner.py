@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 MOST_COMPLAINTS = 100
 #: So many lines about what others send are logged in so many seconds: they may send ever new names.
 MOST_LINES, PERIOD = 20, 60.0
+SUPPRESSED = f"too many invalid messages of others: log lines about them are suppressed for {PERIOD:g} s"
 
 
 class Owner(Protocol):
@@ -65,12 +66,14 @@ class Complaints:
         now = self._now()
         if now - self._since >= PERIOD:
             if self._left_out:
-                self._note(f"{self._left_out} lines about what others send were left out")
+                self._note(f"{self._left_out} log lines about invalid messages of others were suppressed")
             self._since, self._lines, self._left_out = now, 0, 0
         self._lines += 1
         if self._lines > MOST_LINES:
             if not self._left_out:
-                self._note(f"others send much that is wrong: lines about it are left out for {PERIOD:g} s")
+                self._note(
+                    f"too many invalid messages of others: log lines about them are suppressed for {PERIOD:g} s"
+                )
             self._left_out += 1
             return
         if len(self._said) >= MOST_COMPLAINTS:

@@ -261,12 +261,12 @@ def test_ever_new_names_fill_no_log():
         complaints.say("a caller is refused")
     assert len(lines) == MOST_LINES + 1
     assert lines[1] == "a caller is refused"
-    assert lines[-1] == "others send much that is wrong: lines about it are left out for 60 s"
+    assert lines[-1] == "too many invalid messages of others: log lines about them are suppressed for 60 s"
     # What else is wrong later is said, and how much was not.
     now[0] = PERIOD
     complaints.say("the certificate of bravo has ended")
     assert lines[MOST_LINES + 1 :] == [
-        f"{10_000 - (MOST_LINES - 1)} lines about what others send were left out",
+        f"{10_000 - (MOST_LINES - 1)} log lines about invalid messages of others were suppressed",
         "the certificate of bravo has ended",
     ]
     complaints.say("the certificate of bravo has ended")

@@ -61,8 +61,8 @@ async def connected(lookup: Lookup, within: float, make: Callable[[], P]) -> tup
     """A TCP connection to the first address that answers, and that address. `make` makes the protocol.
 
     The next address is tried STAGGER s after the last. The name may take `within` seconds, and all of its
-    addresses together as long again. The kernel ends a connection
-    whose path is dead within 5 s. Raises OSError.
+    addresses together as long again. The kernel ends a connection whose path is dead within 5 s. Raises
+    OSError.
     """
     loop = asyncio.get_running_loop()
     if isinstance(loop, Simulated):
