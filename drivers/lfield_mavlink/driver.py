@@ -8,7 +8,7 @@ from itertools import count
 from typing import Any
 
 from lfield.driver import DeviceBinding, DeviceError, Driver
-from lfield_mavlink.link.dialect import AUTOPILOT, Header, Reader, Writer, dialect
+from lfield_mavlink.link.dialect import AUTOPILOT, Header, Reader, Writer, dialect, request_message
 from lfield_mavlink.link.links import AGAIN, Link, LinkEvents, OnData, make_link, split_endpoint
 from lfield_mavlink.link.ports import (
     COMMANDS,
@@ -247,10 +247,6 @@ class MavlinkDriver(Driver):
         now = self.clock.monotonic()
         for system, sources in self._sources.items():
             for source in sources.due(now):
-                version = float(dialect.MAVLINK_MSG_ID_AUTOPILOT_VERSION)
-                number = dialect.MAV_CMD_REQUEST_MESSAGE
-                ask = dialect.MAVLink_command_long_message(
-                    system, AUTOPILOT, number, 0, version, 0, 0, 0, 0, 0, 0
-                )
+                ask = request_message(system, dialect.MAVLINK_MSG_ID_AUTOPILOT_VERSION)
                 station = self._vehicles[system].station
                 self._ports[source.link].send(ask, station, source.address)

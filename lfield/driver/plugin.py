@@ -215,11 +215,8 @@ def check_same(known: KnownDriver, plugin: Plugin) -> None:
 
 def conflicts_of(known: KnownDriver, bindings: Sequence[DeviceBinding]) -> list[tuple[DeviceBinding, str]]:
     """The bindings of a driver that cannot be beside the others; none where it is not installed here."""
-    try:
-        plugin = load_plugin(known.reference)
-    except PluginError:
-        return []
-    return plugin.conflicts_of(bindings)
+    plugin = _installed(known)
+    return plugin.conflicts_of(bindings) if plugin is not None else []
 
 
 def mistakes_in(known: KnownDriver, option: str, file: str) -> list[Diagnostic]:
@@ -227,17 +224,19 @@ def mistakes_in(known: KnownDriver, option: str, file: str) -> list[Diagnostic]:
 
     Raises DeviceError for a file that cannot be read.
     """
-    try:
-        plugin = load_plugin(known.reference)
-    except PluginError:
-        return []
-    return plugin.mistakes_in(option, file)
+    plugin = _installed(known)
+    return plugin.mistakes_in(option, file) if plugin is not None else []
 
 
 def why_no_endpoint(known: KnownDriver, text: str) -> str:
     """Why a text is no endpoint of a driver; '' for one, and where the driver is not installed here."""
+    plugin = _installed(known)
+    return plugin.why_no_endpoint(text) if plugin is not None else ""
+
+
+def _installed(known: KnownDriver) -> Plugin | None:
+    """The plugin of a driver; None where it is not installed: a desk may lack drivers of its robots."""
     try:
-        plugin = load_plugin(known.reference)
+        return load_plugin(known.reference)
     except PluginError:
-        return ""
-    return plugin.why_no_endpoint(text)
+        return None

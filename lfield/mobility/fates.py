@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 
 from msgspec import structs
 
-from lfield.wire.coordinators import Known
+from lfield.wire.coordinators import TERMINATED, Known
 
 _ALIVE = ("RUN", "FROZEN", "PREPARED")
 
@@ -74,7 +74,7 @@ def known_fates(homes: Mapping[str, str], records: Records, proven: Collection[s
     return {
         agent: fate
         for agent, fate in found.items()
-        if fate.outcome in ("done", "died") or (fate.outcome == "lost" and agent in proven)
+        if fate.outcome in TERMINATED or (fate.outcome == "lost" and agent in proven)
     }
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from lfield.errors import CoordinatorAlive, LfieldError, UsageError
 from lfield.operator.addressed import Place
 from lfield.operator.whereabouts import insist_on_none_alive, records
-from lfield.wire.coordinators import Known
+from lfield.wire.coordinators import TERMINATED, Known
 from lfield.wire.observing import ParkedStatus, Recover, Status
 
 _Answers = Mapping[Place, Status | LfieldError]
@@ -36,7 +36,7 @@ def believed(agent: str, answers: _Answers, names: Mapping[Place, str]) -> Belie
     found = list(records(agent, answers))
     _insist_on_none_parked(agent, answers, names)
     left = [(place, known) for place, known in found if known.state in ("MOVED", "IN DOUBT")]
-    ended = max((known.generation for _, known in found if known.outcome in ("done", "died")), default=0)
+    ended = max((known.generation for _, known in found if known.outcome in TERMINATED), default=0)
     left = [(place, known) for place, known in left if known.generation > ended]
     if not left:
         raise UsageError(_nothing_left(agent, found, answers, names))

@@ -15,8 +15,11 @@ CopyState = Literal["RUN", "FROZEN", "PREPARED", "IN DOUBT", "MOVED", "EXITED", 
 #: How a coordinator ended. 'superseded': an earlier start of it is alive, so this one was stopped.
 Outcome = Literal["done", "died", "lost", "superseded"]
 
+#: The outcomes of a coordinator that has terminated where it ran; that one is lost is only presumed.
+TERMINATED: tuple[Outcome, ...] = ("done", "died")
+
 #: The outcomes that terminate a coordinator; 'superseded' is about one start of it only.
-TERMINAL: tuple[Outcome, ...] = ("done", "died", "lost")
+TERMINAL: tuple[Outcome, ...] = (*TERMINATED, "lost")
 
 #: `Refused.kind` for an id that the receiver never saw and now never will take.
 NEVER_ARRIVED = "never arrived"

@@ -16,7 +16,7 @@ from pymavlink.dialects.v20 import all as dialect
 from lfield_mavlink.link.layouts import SHORTEST, Layout
 from lfield_mavlink.link.signing import LinkSigning
 
-__all__ = ["AUTOPILOT", "COMPONENT", "Reader", "Writer", "dialect", "result_words"]
+__all__ = ["AUTOPILOT", "COMPONENT", "Reader", "Writer", "dialect", "request_message", "result_words"]
 
 #: What we are: a computer on board. Which system is said for each vehicle (`station`).
 COMPONENT = dialect.MAV_COMP_ID_ONBOARD_COMPUTER
@@ -29,6 +29,12 @@ _KEPT = 4096
 _REFUSED = "Invalid signature"
 #: By message id.
 _LAYOUTS = {number: Layout(kind) for number, kind in dialect.mavlink_map.items()}
+
+
+def request_message(system: int, kind: int) -> Any:
+    """COMMAND_LONG that asks the autopilot of a system for one message of a kind."""
+    asks, rest = dialect.MAV_CMD_REQUEST_MESSAGE, [0.0] * 6
+    return dialect.MAVLink_command_long_message(system, AUTOPILOT, asks, 0, float(kind), *rest)
 
 
 class Header(NamedTuple):

@@ -11,7 +11,7 @@ from typing import Any
 from lfield.driver import DeviceError
 from lfield_mavlink.contact.contact import Contact
 from lfield_mavlink.geo import Place, Vector
-from lfield_mavlink.link.dialect import AUTOPILOT, dialect
+from lfield_mavlink.link.dialect import dialect, request_message
 from lfield_mavlink.modes import ARDUPILOT, PX4
 from lfield_mavlink.monitors.descent import DESCENT, DescentMonitor, Expected, Finding
 from lfield_mavlink.monitors.position import FIX, PositionMonitor
@@ -290,12 +290,7 @@ class FlightMonitor:
         if second and self._now - self._second_at >= AGAIN:
             # A second receiver does not tell by itself.
             self._second_at = self._now
-            asks, kind = dialect.MAV_CMD_REQUEST_MESSAGE, float(dialect.MAVLINK_MSG_ID_GPS2_RAW)
-            self._vehicle.send(
-                dialect.MAVLink_command_long_message(
-                    self._vehicle.system, AUTOPILOT, asks, 0, kind, *[0.0] * 6
-                )
-            )
+            self._vehicle.send(request_message(self._vehicle.system, dialect.MAVLINK_MSG_ID_GPS2_RAW))
 
     def _on_second_gps(self, message: Any) -> None:
         self._position.on_fix(1, message.fix_type, self._now)

@@ -8,7 +8,7 @@ from collections.abc import Awaitable, Callable
 
 from lfield_mavlink.contact.contact import LINK_LOST, Contact
 from lfield_mavlink.geo import Place
-from lfield_mavlink.link.dialect import AUTOPILOT, dialect
+from lfield_mavlink.link.dialect import dialect, request_message
 
 #: Seconds within which an autopilot restarts.
 RESTART = 60.0
@@ -100,12 +100,7 @@ class Upkeep:
 
     def _ask_the_time(self) -> None:
         """Ask for a message with the time since start: after a restart nothing is streamed."""
-        number, kind = dialect.MAV_CMD_REQUEST_MESSAGE, float(dialect.MAVLINK_MSG_ID_ATTITUDE)
-        self._vehicle.send(
-            dialect.MAVLink_command_long_message(
-                self._vehicle.system, AUTOPILOT, number, 0, kind, 0, 0, 0, 0, 0, 0
-            )
-        )
+        self._vehicle.send(request_message(self._vehicle.system, dialect.MAVLINK_MSG_ID_ATTITUDE))
 
     async def do_command(self, number: int, parameters: list[float]) -> int:
         """A COMMAND_LONG with up to seven parameters; its MAV_RESULT, whatever that is."""

@@ -9,6 +9,7 @@ corrects it.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 from lfield_mavlink.modes import Profile
 
@@ -25,6 +26,8 @@ OTHER, HELD_UP = 0.2, 0.8
 GAIN = 0.8
 #: The least share of what is commanded at first that a correction leaves.
 LEAST = 0.3
+#: The share of its speed that goes along its way when it drives straight.
+STRAIGHT = 0.95
 #: The share of a speed that ArduRover is commanded at first; m/s by which PX4's rover drives faster than
 #: commanded, and the share that is left of a low speed.
 ROVER_FIRST, PX4_ROVER_EXCESS, PX4_ROVER_FIRST = 0.85, 0.45, 0.15
@@ -79,6 +82,14 @@ class SpeedCorrection:
         mean, before = self._sum / self._count, self._before
         self._began, self._sum, self._count, self._before = now, 0.0, 0, mean
         return self._correct(mean, before, speed)
+
+    def follow(self, velocity: Sequence[float], way: Sequence[float], speed: float, now: float) -> None:
+        """Sample what is driven straight along `way` (north, east); a turn says nothing of the speed."""
+        driven = math.hypot(*velocity[:2])
+        if velocity[0] * way[0] + velocity[1] * way[1] > STRAIGHT * driven * math.hypot(*way):
+            self.sample(driven, speed, now)
+        else:
+            self.pause()
 
     def _correct(self, mean: float, before: float | None, speed: float) -> bool:
         off = (speed - mean) / speed

@@ -21,8 +21,8 @@ STAYS, BEGINS = 3, 0.1
 #: The parameter of PX4's own speed to a place, by the kind of vehicle, and m/s where it does not tell.
 CRUISE, CRUISES = {"copter": "MPC_XY_CRUISE", "rover": "RO_SPEED_LIM"}, 3.0
 #: The share by which the speed of one velocity may differ from that of the one before it, so that what was
-#: driven still says something of it; and how straight it must drive along it.
-SAME, STRAIGHT = 0.1, 0.95
+#: driven still says something of it.
+SAME = 0.1
 
 
 class Speed:
@@ -199,12 +199,8 @@ class Speed:
 
     def _follows_velocity(self, now: float) -> None:
         """Correct what is commanded of a velocity by what is driven along it."""
-        north, east, _down = self._state.velocity
-        speed, driven = math.hypot(*self._velocity), math.hypot(north, east)
-        if north * self._velocity[0] + east * self._velocity[1] > STRAIGHT * driven * speed:
-            self._of_velocity.sample(driven, speed, now)
-        else:
-            self._of_velocity.pause()
+        speed = math.hypot(*self._velocity)
+        self._of_velocity.follow(self._state.velocity, self._velocity, speed, now)
 
     def _on_heartbeat(self, _: object) -> None:
         """In another mode, or with its motors off, it forgets its speed."""

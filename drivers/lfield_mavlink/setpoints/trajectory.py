@@ -42,8 +42,6 @@ LEAST = 0.05
 ON_CIRCLE = 0.05
 #: m/s2 by which a rover is slowed down before its goal.
 ROVER_BRAKES = 0.8
-#: The share of its speed that leads a rover to its goal when it drives straight at it.
-STRAIGHT = 0.95
 
 
 @dataclass(frozen=True, slots=True)
@@ -224,13 +222,12 @@ class Pursuit:
         if place is None:
             return Target(ONLY_VELOCITY)
         north, east = self._goal[0] - place[0], self._goal[1] - place[1]
-        left, flown = math.hypot(north, east), math.hypot(*velocity[:2])
+        left = math.hypot(north, east)
         if left < 1e-6:
             return Target(ONLY_VELOCITY)
         braking = math.sqrt(2.0 * ROVER_BRAKES * left)
-        along = (velocity[0] * north + velocity[1] * east) / left
-        if braking > self.speed and along > STRAIGHT * flown:
-            self._correction.sample(flown, self.speed, now)
+        if braking > self.speed:
+            self._correction.follow(velocity, (north, east), self.speed, now)
         else:
             self._correction.pause()
         fast = self._correction.commanded(min(self.speed, braking))

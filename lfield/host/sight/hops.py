@@ -14,7 +14,7 @@ from lfield.mobility import effects as mobile
 from lfield.vm.agent import Agent
 from lfield.vm.machine import Machine
 from lfield.wire import events
-from lfield.wire.coordinators import Known, Transfer
+from lfield.wire.coordinators import TERMINATED, Known, Transfer
 from lfield.wire.fields import MAX_LABEL, age, clip
 
 
@@ -136,7 +136,7 @@ class Hops:
         """A coordinator has ended somewhere: if by itself, what was sent has come there."""
         away = self._away.get(effect.agent)
         if away is not None and away.generation == effect.generation:
-            if effect.outcome in ("done", "died"):
+            if effect.outcome in TERMINATED:
                 self._arrived(effect.agent, away, self._teller.up)
             else:
                 del self._away[effect.agent]

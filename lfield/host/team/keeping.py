@@ -42,13 +42,11 @@ from lfield.mobility.effects import (
     SendTransfer,
     Supersede,
 )
-from lfield.wire.coordinators import Known, Outcome
+from lfield.wire.coordinators import TERMINATED, Known
 
 #: The longest that a page waits for company, in seconds.
 SOON = 1.0
 
-#: How a coordinator terminates where it runs; that it is lost is only presumed.
-TERMINATED: tuple[Outcome, ...] = ("done", "died")
 
 #: Of so many starts of each coordinator it is remembered how they ended; every run makes one.
 ENDINGS = 8

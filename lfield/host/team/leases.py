@@ -15,7 +15,6 @@ from lfield.clock import Clock
 from lfield.errors import DeviceError
 from lfield.host.effects import Effect, MakeSafe, Say
 from lfield.host.team.coordinators import Coordinators
-from lfield.host.team.keeping import TERMINATED
 from lfield.journal.pages import Fence, Page
 from lfield.mission.mission import Mission
 from lfield.mobility.copies import Copy
@@ -31,7 +30,7 @@ from lfield.vm.agent import Agent
 from lfield.vm.begun import Begun
 from lfield.vm.machine import Machine
 from lfield.vm.memory.layout import W_INTERVAL, W_SEQUENCE
-from lfield.wire.coordinators import Ended
+from lfield.wire.coordinators import TERMINATED, Ended
 from lfield.wire.fields import age
 from lfield.wire.framing import Buffer
 from lfield.wire.messages import Hello

@@ -97,11 +97,10 @@ class Readiness:
         if host not in self._asked:
             return
         self._unknown.pop(host, None)
+        unknown = [vehicle for vehicle, landed in on_ground.items() if landed is None]
         if off_ground := [vehicle for vehicle, landed in on_ground.items() if landed is False]:
             self.hold(f"{' and '.join(off_ground)} of {host} {_is(off_ground)} off the ground: land first")
-        elif (unknown := [v for v, landed in on_ground.items() if landed is None]) and (
-            host not in self._without_by_command
-        ):
+        elif unknown and host not in self._without_by_command:
             self._unknown[host] = unknown
         else:
             self._on_ground.add(host)

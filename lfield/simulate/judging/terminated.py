@@ -18,13 +18,10 @@ from lfield.journal.pages import CopyPage
 from lfield.simulate.fleet import Fleet, Life
 from lfield.simulate.judging.breaches import Breaches
 from lfield.simulate.judging.witness import tap_calls
-from lfield.wire.coordinators import Ended, Known
+from lfield.wire.coordinators import TERMINATED, Ended, Known
 from lfield.wire.messages import Control, Hello
 from lfield.wire.observing import Recover, Recovered
 from lfield.wire.quorum import Promise, Propose
-
-#: What terminates a coordinator, beside an operator's presumption that it is lost.
-OUTCOMES = ("done", "died")
 
 
 def latest_start(starts: Collection[tuple[str, int]], agent: str, below: int) -> int:
@@ -57,7 +54,7 @@ class Terminated:
             if name not in members:
                 continue
             for page in disk.pages():
-                if isinstance(page, CopyPage) and page.state == "EXITED" and page.outcome in OUTCOMES:
+                if isinstance(page, CopyPage) and page.state == "EXITED" and page.outcome in TERMINATED:
                     of = found[page.agent]
                     of[name] = max(of.get(name, 0), page.generation)
         for agent, generations in found.items():
@@ -121,7 +118,7 @@ class Terminated:
             self._on_ended(life, ended)
 
     def _on_ended(self, life: Life, ended: Ended) -> None:
-        if ended.outcome in OUTCOMES:
+        if ended.outcome in TERMINATED:
             known = self._received[life.core.incarnation]
             known[ended.agent] = max(known.get(ended.agent, 0), ended.generation)
 
@@ -132,7 +129,7 @@ class Terminated:
 
     def _newest_known(self, life: Life, agent: str) -> int:
         rows = life.core.mobility.knowledge()
-        ended = (row.generation for row in rows if row.agent == agent and row.outcome in OUTCOMES)
+        ended = (row.generation for row in rows if row.agent == agent and row.outcome in TERMINATED)
         return max([self._received[life.core.incarnation].get(agent, 0), *ended])
 
     def _on_recovery(self, life: Life, agent: str, generation: int, *, by_operator: bool) -> None:
