@@ -14,9 +14,10 @@ import pytest
 
 from lfield.host.host import Host, Options
 from lfield.host.logbook import Logbook
+from lfield.manifest import Observation
 from lfield.mission.bindings import MissionStart
 from lfield.mission.load import load_mission
-from lfield.mission.mission import Mission
+from lfield.mission.mission import ON_GROUND, Mission
 from lfield.simulate.disk import JournalDisk
 from lfield.simulate.network import MemoryNetwork
 from lfield.simulate.time import LoopClock, run_jumping
@@ -94,6 +95,16 @@ class Fleet:
         running = Running(Host(mission, name, transport, Logbook(out, err), made), out, err)
         self.running.append(running)
         return running
+
+    def on_the_ground(self, running: Running) -> None:
+        """Each vehicle of a host is on the ground, as others hear too: a start waits until it says so."""
+        host, guards = running.host, running.host.guards
+        landed = {device.name: {ON_GROUND: True} for device in host.mission.devices_of(host.name)}
+        guards.__class__ = type("OnTheGround", (type(guards),), {"telemetry": landed})
+        last = guards.last
+        guards.last = lambda device, quantity: (
+            Observation(True, host.clock.monotonic()) if quantity == ON_GROUND else last(device, quantity)
+        )
 
     async def up(self, mission: Mission, *names: str, **options: Any) -> list[Running]:
         """Start hosts at the same time; all of the deployment unless they are named."""

@@ -41,13 +41,6 @@ IDLE = CRANES + "coordinator Foreman { init(string[] arg) { Lift[] who = findLif
 TWO_HOSTS = "//Crane:near@alpha\n//Foreman:foreman@alpha\n//Crane:small@bravo\n//Crane:far@bravo\n"
 
 
-def on_the_ground(running):
-    """What the host tells others: each vehicle is on the ground. A start waits until it says so."""
-    guards, host = running.host.guards, running.host
-    landed = {device.name: {"landed": True} for device in host.mission.devices_of(host.name)}
-    guards.__class__ = type("OnTheGround", (type(guards),), {"telemetry": landed})
-
-
 class Devices:
     """The devices of one host, by hand: what they last said, and what is wrong with them."""
 
@@ -59,15 +52,11 @@ class Devices:
         guards.open = self.open
         guards.last = self.last
         guards.trouble = self.troubles.get
-        on_the_ground(running)
 
     async def open(self, devices):
         pass
 
     def last(self, device, quantity):
-        if quantity == "landed":
-            # Each vehicle is on the ground: a start waits until it says so.
-            return Observation(True, self.clock.monotonic())
         self.asked += 1
         if (device, quantity) not in self.values:
             return None
@@ -80,6 +69,8 @@ async def two_hosts(team, program=IDLE, **options):
     mission = team.mission(program, TWO_HOSTS, capabilities=CAPABILITIES, simulate=True)
     hosts = [team.make(mission, name, **options) for name in ("alpha", "bravo")]
     devices = [Devices(running) for running in hosts]
+    for running in hosts:
+        team.on_the_ground(running)
     await asyncio.gather(*(running.host.start() for running in hosts))
     await team.until(lambda: hosts[0].host.peers.incarnations and hosts[1].host.peers.incarnations)
     return (*hosts, *devices)
@@ -333,6 +324,7 @@ def test_a_stale_offer_is_an_exception_that_names_the_agent_and_the_next_one_is_
         alpha, bravo = (team.make(mission, name, unreachable_after=4.0) for name in ("alpha", "bravo"))
         for running in (alpha, bravo):
             Devices(running)
+            team.on_the_ground(running)
         await asyncio.gather(alpha.host.start(), bravo.host.start())
         await team.until(lambda: "far then near" in alpha.log)
         await bravo.host.stop()

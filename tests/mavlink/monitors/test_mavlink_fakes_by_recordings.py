@@ -94,6 +94,29 @@ class Flight:
         return [(at, words) for at, words in told if at >= 0.0]
 
 
+def recorded_heights(name, note, seconds):
+    """Seconds and metres up, from the note of a fault on."""
+    heights, began = [], None
+    for event in events(name):
+        if note in event.note and began is None:
+            began = event.at
+        if began is not None and event.at > began + seconds:
+            break
+        place = event.message is not None and event.message.get_type() == "LOCAL_POSITION_NED"
+        if began is not None and place:
+            heights.append((event.at - began, -event.message.z))
+    return heights
+
+
+def assert_falls_alike(flight, heights, apart):
+    """The fake falls from now on, as far as the real one by each time."""
+    began, top = flight.autopilot.now, -flight.autopilot.vehicle.place[2]
+    for at, height in heights:
+        flight.wait(began + at - flight.autopilot.now)
+        lost, lost_really = top + flight.autopilot.vehicle.place[2], heights[0][1] - height
+        assert abs(lost - lost_really) < apart, f"{lost:.1f} m after {at:.1f} s, really {lost_really:.1f} m"
+
+
 def assert_alike(real, fake):
     assert [words for _, words in fake] == [words for _, words in real]
     for (at, words), (was, _) in zip(fake, real, strict=True):
@@ -138,25 +161,11 @@ def test_a_battery_failsafe_is_taken_back_by_guided_and_acts_once():
 
 def test_a_weak_motor_falls_as_the_real_one_did():
     """Heights of both, from the fault to the ground."""
-    heights, began = [], None
-    for event in events("ap-copter.gauntlet-b"):
-        if "set SIM_ENGINE_FAIL = 1" in event.note and began is None:
-            began = event.at
-        place = event.message is not None and event.message.get_type() == "LOCAL_POSITION_NED"
-        if began is not None and place:
-            heights.append((event.at - began, -event.message.z))
-        if began is not None and event.at > began + 4.0:
-            break
+    heights = recorded_heights("ap-copter.gauntlet-b", "set SIM_ENGINE_FAIL = 1", 4.1)
     flight = Flight()
     began = flight.autopilot.now
     flight.fault("motor_power=0.6")
-    top = -flight.autopilot.vehicle.place[2]
-    for at, height in heights:
-        flight.wait(began + at - flight.autopilot.now)
-        lost, lost_really = top + flight.autopilot.vehicle.place[2], heights[0][1] - height
-        assert abs(lost - lost_really) < 1.2, (
-            f"{lost:.1f} m lost after {at:.1f} s, really {lost_really:.1f} m"
-        )
+    assert_falls_alike(flight, heights, 1.2)
     said = [words for _, words in recorded("ap-copter.gauntlet-b", "set SIM_ENGINE_FAIL = 1", 4.0)]
     assert [words for _, words in flight.said(began)] == said
 
@@ -176,26 +185,11 @@ def test_it_flies_on_with_a_glitch_and_without_compasses(name, note, fault):
 
 
 def test_a_forced_disarm_in_flight_is_a_fall_and_it_can_be_armed_at_once():
-    heights, began = [], None
-    for event in events("ap-copter.gauntlet-b"):
-        if "forced disarm by a second station" in event.note and began is None:
-            began = event.at
-        if began is not None and event.at > began + 1.4:
-            break
-        if (
-            began is not None
-            and event.message is not None
-            and event.message.get_type() == "LOCAL_POSITION_NED"
-        ):
-            heights.append((event.at - began, -event.message.z))
+    heights = recorded_heights("ap-copter.gauntlet-b", "forced disarm by a second station", 1.4)
     flight = Flight()
-    began, top = flight.autopilot.now, -flight.autopilot.vehicle.place[2]
     assert flight.command(dialect.MAV_CMD_COMPONENT_ARM_DISARM, 0, 21196) == dialect.MAV_RESULT_ACCEPTED
     # The first height after the note is that of the begin of the fall.
-    for at, height in [(at - heights[0][0], height) for at, height in heights]:
-        flight.wait(began + at - flight.autopilot.now)
-        lost, lost_really = top + flight.autopilot.vehicle.place[2], heights[0][1] - height
-        assert abs(lost - lost_really) < 0.6, f"{lost:.1f} m after {at:.1f} s, really {lost_really:.1f} m"
+    assert_falls_alike(flight, [(at - heights[0][0], height) for at, height in heights], 0.6)
     flight.wait(0.3)
     assert flight.autopilot.vehicle.place[2] == pytest.approx(0.0, abs=0.3)
     assert flight.command(dialect.MAV_CMD_COMPONENT_ARM_DISARM, 1) == dialect.MAV_RESULT_ACCEPTED
