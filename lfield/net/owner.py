@@ -71,9 +71,7 @@ class Complaints:
         self._lines += 1
         if self._lines > MOST_LINES:
             if not self._left_out:
-                self._note(
-                    f"too many invalid messages of others: log lines about them are suppressed for {PERIOD:g} s"
-                )
+                self._note(SUPPRESSED)
             self._left_out += 1
             return
         if len(self._said) >= MOST_COMPLAINTS:
