@@ -123,7 +123,7 @@ def test_an_order_that_comes_late_does_not_end_a_stop_that_was_pressed_after_it(
     fleet.run(5.0)
     assert held() == [True] * 3
     why = NEWER.format(*[{"stop": STOP, "pause": PAUSE}[hold]] * 2)
-    assert any(text.endswith(why) for _, _, text in fleet.log)
+    assert any(why in text for _, _, text in fleet.log)
     judge.look()
     assert not judge.breaches
     operator.free_all()
