@@ -10,6 +10,7 @@ import asyncio
 import errno
 import os
 import random
+import secrets
 import traceback
 from collections import deque
 from collections.abc import Callable, Collection, Iterable
@@ -65,6 +66,7 @@ class Options:
 
     `journal` keeps what this host has of coordinators; without one that is gone with its process, and all
     hosts are heard before any is started. `first_start`: somebody says that there was no start before.
+    `draw` gives so many random bytes.
     `engine` is one of `lfield.vm.wasm.choice.CHOICES`. `admission` says who may have links with it. Times are
     in seconds.
     """
@@ -79,6 +81,7 @@ class Options:
     first_start: bool = False
     engine: str = "reference"
     admission: Admission = field(default_factory=Admission)
+    draw: Callable[[int], bytes] = secrets.token_bytes
 
 
 class Host:
@@ -122,11 +125,11 @@ class Host:
             self.scribe.times,
             engines_for(options.engine, self.note),
             self.teller,
+            options.draw,
         )
         self._visitors = Visitors(
             self.core, self.guards, self.clock, self._enter, self.status, self.note, self.scribe.all_kept
         )
-        self._visitors.links = lambda: self.peers.visiting
         self.changed = asyncio.Event()
         self.broken: dict[str, bool] = {}  # by agent that has died here: whether of a bug of lfield
         #: Set when the host has failed: `failure` says by what.
@@ -165,10 +168,10 @@ class Host:
         self.address = await self.peers.open(self.options.listen)
         await self._open_door(self.options.door)
         devices = self.mission.devices_of(self.name)
-        self._visitors.stay_stopped()
+        self._visitors.stops.stay_stopped()
         await insist(self.guards.lateness.limit, devices, self.clock)
         await self.guards.open(devices)
-        await self._visitors.stay_paused()
+        await self._visitors.stops.stay_paused()
         where = f"on {self.address}" if self.address else "for this computer alone"
         self.note(f"{self.name} is up {where}{'' if self.scribe.memory else ', and keeps nothing'}")
         if line := self.options.admission.line():
