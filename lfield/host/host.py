@@ -35,6 +35,7 @@ from lfield.host.logbook import Logbook
 from lfield.host.scribe import Scribe
 from lfield.host.sight.teller import Teller
 from lfield.host.status import status_of
+from lfield.host.stopping.shell import OrderKeys, order_datagrams
 from lfield.host.surroundings import Surroundings
 from lfield.host.visitors import Visitors
 from lfield.journal.journal import Journal
@@ -50,6 +51,7 @@ from lfield.vm.machine import Machine
 from lfield.wire.coordinators import Transfer
 from lfield.wire.messages import Control, Hello
 from lfield.wire.observing import Status, StatusRequest
+from lfield.wire.orders import RelayedAnswer, RelayedOrder
 
 #: How long a starting host waits for the others' first answers before it starts its coordinators: one that
 #: is alive elsewhere must not be started twice. Longer than a host waits before it calls again.
@@ -66,7 +68,7 @@ class Options:
 
     `journal` keeps what this host has of coordinators; without one that is gone with its process, and all
     hosts are heard before any is started. `first_start`: somebody says that there was no start before.
-    `draw` gives so many random bytes.
+    `draw` gives so many random bytes. With `orders` it takes orders to stop and to pause as datagrams.
     `engine` is one of `lfield.vm.wasm.choice.CHOICES`. `admission` says who may have links with it. Times are
     in seconds.
     """
@@ -82,6 +84,7 @@ class Options:
     engine: str = "reference"
     admission: Admission = field(default_factory=Admission)
     draw: Callable[[int], bytes] = secrets.token_bytes
+    orders: OrderKeys | None = None
 
 
 class Host:
@@ -129,6 +132,15 @@ class Host:
         )
         self._visitors = Visitors(
             self.core, self.guards, self.clock, self._enter, self.status, self.note, self.scribe.all_kept
+        )
+        self._datagrams = order_datagrams(
+            options.orders,
+            transport,
+            options.admission,
+            self.core,
+            self._visitors.stops,
+            self.peers,
+            self.fail,
         )
         self.changed = asyncio.Event()
         self.broken: dict[str, bool] = {}  # by agent that has died here: whether of a bug of lfield
@@ -215,6 +227,8 @@ class Host:
         if self._timer:
             self._timer.cancel()
         self.peers.close()
+        if self._datagrams is not None:
+            self._datagrams.close()
         self.logbook.flush()
         return unsafe
 
@@ -367,6 +381,8 @@ class Host:
             if host:
                 self._enter(partial(self.core.told, host, message))
             self.changed.set()
+        elif isinstance(message, RelayedOrder | RelayedAnswer) and self._datagrams is not None:
+            self._datagrams.relayed(host, message)
         elif isinstance(message, StatusRequest) or not host:
             self._visitors.received(message, link)
         else:

@@ -66,8 +66,12 @@ class Certificates:
         if len(self._known) > MOST_CERTIFICATES:
             self._known.popitem(last=False)
 
+    def seen(self, certificate: bytes, who: Identity) -> None:
+        """A certificate that TLS has verified."""
+        self.add(Known(certificate, who))
+
     def learn(self, certificate: bytes) -> Identity:
-        """Verify a certificate in DER that came over a link, and remember it. Raises KeysError."""
+        """Verify a certificate in DER that was kept, and remember it. Raises KeysError."""
         known = self._known.get(digest_of(certificate)) or verified_certificate(certificate, self.authority)
         self.add(known)
         return known.who

@@ -52,14 +52,8 @@ class Send(NamedTuple):
     datagram: bytes
 
 
-class Newer(NamedTuple):
-    """A host was given a newer order before this one to end it, so this one was not signed again."""
-
-    epochs: Epochs
-
-
 #: How an order has ended at a host.
-Result = Confirmed | Denied | Newer
+Result = Confirmed | Denied
 
 
 @dataclass(slots=True)
@@ -166,15 +160,12 @@ class Asking:
         if host in self._hosts:
             self._hosts[host].due = None
 
-    def heard(self, data: bytes, now: float, sender: str = "") -> None:
-        """A datagram has come; `sender` is the host at the address it is from, '' where that is nobody's.
-
-        Whatever is not an answer of one of the hosts to this order is ignored.
-        """
+    def heard(self, data: bytes, now: float) -> None:
+        """A datagram has come, from any address. Whatever is no answer to this order is ignored."""
         try:
             datagram = decode_datagram(data)
             if isinstance(datagram, CertificateRequest):
-                self._requested(datagram, sender, now)
+                self._requested(datagram, now)
             elif isinstance(datagram, SignedAnswer):
                 known = self._certificates.get(datagram.signer)
                 answer, known = verified_answer(datagram, known, self._certificates.authority)
@@ -182,16 +173,17 @@ class Asking:
         except LfieldError:
             return
 
-    def _requested(self, request: CertificateRequest, sender: str, now: float) -> None:
-        """A host does not know the certificate; what it says of its epochs is a hint, and not signed."""
-        host = self._hosts.get(sender)
+    def _requested(self, request: CertificateRequest, now: float) -> None:
+        """A host does not know the certificate. That is not signed, so it is heard once, and what it says of
+        epochs is a hint: a false one costs a challenge."""
+        host = self._hosts.get(request.host)
         if host is None or host.due is None or host.certificate or request.signer != self._signer.digest:
             return
         self._measure(host, request.attempt, now)
         host.certificate = self._signer.certificate
         if host.named == UNKNOWN:
-            self._sign_again(sender, host, request.epochs)
-        self._send(sender, now)
+            self._sign_again(request.host, host, request.epochs)
+        self._send(request.host, now)
 
     def _answered(self, answer: Answer, known: Known, now: float) -> None:
         name = known.who.name
@@ -219,7 +211,6 @@ class Asking:
         if epochs.of(self.kind) == host.named or host.times_signed >= MOST_SIGNED:
             return
         if self.kind not in HOLDS and host.named != UNKNOWN:
-            host.result, host.due = Newer(epochs), None
             return
         self._sign_again(name, host, epochs)
         self._send(name, now)
