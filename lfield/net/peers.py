@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import asyncio
 import random
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Collection, Sequence
 from contextlib import suppress
 
 from lfield.authority.admission import Admission
@@ -21,6 +21,7 @@ from lfield.errors import AddressError, KeysError, WireError
 from lfield.loop import spare_descriptors, spawn
 from lfield.net.greeting import Greeting
 from lfield.net.guests import Guests
+from lfield.net.health.round_trip import Heartbeats
 from lfield.net.owner import Complaints, Owner, Refusals
 from lfield.net.paths.dialler import Dialler
 from lfield.net.session import Session
@@ -30,8 +31,8 @@ from lfield.wire.coordinators import Transfer
 from lfield.wire.framing import Buffer
 from lfield.wire.messages import QUESTION, Control, Hello, Ping, Pong, Revocations
 
-#: A link that is wanted is looked at every so many seconds and, unless something just came in, asked for a
-#: sign of life, by the host that stands first, or else by the other. After so many without, it is given up.
+#: A link that is wanted is checked every so many seconds, and a heartbeat is sent when one is due. After so
+#: many seconds without a message it is given up.
 PING_EVERY, SILENT_FOR = 1.0, 3.0
 #: So many seconds a link is wanted that was needed for once, and one that nobody wants is kept.
 QUIET_FOR = 10.0
@@ -76,6 +77,7 @@ class Peers:
         self._came, self._bars = dict[str, float](), Bars()
         self._links: dict[str, Session] = {}
         self._tasks, self._listeners = list[asyncio.Task[None]](), list[Listener]()
+        self.on_arrival, self.on_oversize = owner.arrived, owner.too_large
         self._complaints, self.refusals = Complaints(owner.note, self.now), Refusals(hosts)
         self._ungreeted: Guests[Session] = Guests(MOST_UNGREETED, dice)
         self._observers: Guests[Session] = Guests(MOST_OBSERVERS, dice)
@@ -96,6 +98,11 @@ class Peers:
         """When something last came from a host, on the monotonic clock; None when nothing ever did."""
         session = self._links.get(host)
         return session.heard if session else self._last_heard.get(host)
+
+    def round_trip(self, host: str) -> float | None:
+        """The smoothed round-trip time of the link with a host, in seconds; None before it is measured."""
+        session = self._links.get(host)
+        return session.beats.round_trip.mean if session else None
 
     @property
     def visiting(self) -> set[Link]:
@@ -225,14 +232,12 @@ class Peers:
             self._all_heard.set()
 
     async def _keep_alive(self) -> None:
-        token = 0
         while True:
             await asyncio.sleep(PING_EVERY)
-            token += 1
             now = self._clock.monotonic()
             self._want(now)
             for host, session in list(self._links.items()):
-                self._look_at(host, session, now, token)
+                self._look_at(host, session, now)
             self.judge()
 
     def _want(self, now: float) -> None:
@@ -249,7 +254,7 @@ class Peers:
         for host in sorted(self._callers.keys() - wanted - self._links.keys()):
             self._callers.pop(host).cancel()
 
-    def _look_at(self, host: str, session: Session, now: float, token: int) -> None:
+    def _look_at(self, host: str, session: Session, now: float) -> None:
         silent = now - session.heard
         if not self.wants(host):
             session.idle = now
@@ -261,8 +266,8 @@ class Peers:
             # What waits for it would keep the link open for a while yet.
             session.link.abort()
             self.gone(session)
-        elif silent >= (0.5 if self._here < self._numbers[host] else 1.5) * PING_EVERY:
-            self.send(host, Ping(token))
+        elif session.beats.is_due(now, silent, PING_EVERY):
+            self.send(host, Ping(session.beats.send(now)))
 
     # --- what sessions report -------------------------------------------------------------------------
 
@@ -340,6 +345,7 @@ class Peers:
             pushed.turn_away(f"over {MOST_OBSERVERS} observers have links to this host")
 
     def _linked(self, session: Session, hello: Hello) -> None:
+        session.beats = Heartbeats(session.heard, first=self._here < self._numbers[hello.host])
         old = self._links.get(hello.host)
         self._links[hello.host] = session
         if old and old is not session:
@@ -369,10 +375,13 @@ class Peers:
     def heard(self, session: Session, message: Control) -> None:
         """A message came in on a greeted link."""
         if isinstance(message, Ping):
+            session.beats.received()
             session.link.send(Pong(message.token))
         elif isinstance(message, Revocations):
             self._take_list(message.list)
-        elif not isinstance(message, Pong) or message.token == QUESTION:
+        elif isinstance(message, Pong) and message.token != QUESTION:
+            session.beats.answered(message.token, self.now())
+        else:
             hello = session.hello
             assert hello is not None
             self._owner.received(hello.host if hello.role == "host" else "", message, session.link)
@@ -384,16 +393,6 @@ class Peers:
     def note(self, text: str) -> None:
         """A line for the log."""
         self._owner.note(text)
-
-    @property
-    def on_arrival(self) -> Callable[[str, Transfer, memoryview], None]:
-        """Where coordinators go."""
-        return self._owner.arrived
-
-    @property
-    def on_oversize(self) -> Callable[[str, Transfer, int], None]:
-        """Where the headers of coordinators go that are too large."""
-        return self._owner.too_large
 
     def complain(self, text: str) -> None:
         """A line for the log, once: a caller that is refused calls again every second."""

@@ -8,6 +8,7 @@ from contextlib import suppress
 from typing import TYPE_CHECKING, NoReturn, Protocol
 
 from lfield.errors import AddressError, GreetingError, LfieldError, OverBudget
+from lfield.net.health.round_trip import Heartbeats
 from lfield.net.waiting.bars import LONGEST_BAR
 from lfield.wire.coordinators import Transfer
 from lfield.wire.messages import Control, Hello, Message, Ping, Refuse
@@ -88,6 +89,7 @@ class Session:
         self.hello: Hello | None = None
         #: When something last came, and when this host last had no use for the link.
         self.heard = self.idle = 0.0
+        self.beats = Heartbeats(self.made, first=False)
         self.reason = ""
         self.over = asyncio.Event()
         self._patience: asyncio.TimerHandle | None = None
