@@ -39,6 +39,9 @@ class Nearby(Neighbours, Protocol):
     def round_trip(self, host: str) -> float | None:
         """The smoothed round-trip time of the link with a host, in seconds; None before it is measured."""
 
+    def answers_within(self, host: str) -> float | None:
+        """The time within which a linked host answers, in seconds; None while that is not known."""
+
 
 class Write(Struct, frozen=True):
     """Program output, exactly as written."""

@@ -58,6 +58,8 @@ class Nothing:
     def round_trip(self, host: str) -> None:
         """Nothing was measured."""
 
+    answers_within = round_trip
+
     def last(self, device: str, quantity: str) -> None:
         """There is no telemetry."""
 
