@@ -123,10 +123,10 @@ class Host:
             engines_for(options.engine, self.note),
             self.teller,
         )
+        core, guards, peers = self.core, self.guards, self.peers
         self._visitors = Visitors(
-            self.core, self.guards, self.clock, self._enter, self.status, self.note, self.scribe.all_kept
+            core, guards, peers, clock, self._enter, self.status, self.note, self.scribe.all_kept
         )
-        self._visitors.links = lambda: self.peers.visiting
         self.changed = asyncio.Event()
         self.broken: dict[str, bool] = {}  # by agent that has died here: whether of a bug of lfield
         #: Set when the host has failed: `failure` says by what.

@@ -12,6 +12,7 @@ from lfield.errors import AddressError
 from lfield.host.core import HostCore
 from lfield.host.watching.watchers import Watchers
 from lfield.loop import spawn
+from lfield.net.peers import Peers
 from lfield.net.transport import Link
 from lfield.text.visible import in_one_line
 from lfield.wire.fields import clip
@@ -58,6 +59,7 @@ class Visitors:
         self,
         core: HostCore,
         guards: Guards,
+        peers: Peers,
         clock: Clock,
         enter: Callable[[Callable[[], None]], None],
         status: Callable[[], Status],
@@ -67,10 +69,9 @@ class Visitors:
         self._core, self._guards, self._clock = core, guards, clock
         self._enter, self._status, self._note, self._all_kept = enter, status, note, all_kept
         self._teller = core.teller
-        self.watchers = Watchers(core, guards, clock, status)
+        self.watchers = Watchers(core, guards, clock, status, peers.watch.latest)
         guards.on_lock_out = self._locked_out
-        #: The links that observers have to this host now.
-        self.links: Callable[[], Collection[Link]] = tuple
+        self._peers = peers
         #: Those that another observer had when the latest stop or pause came: an order to end it that comes
         #: by one of these may have been given before.
         self._older: dict[str, Collection[Link]] = {}
@@ -127,7 +128,7 @@ class Visitors:
 
     def _locked_out(self, device: str, reason: str) -> None:
         """It is kept as an emergency stop is, so that the next life of this host opens its devices barred."""
-        self._older[STOP] = self.links()
+        self._older[STOP] = self._peers.visiting
         if not self._core.coordinators.stopped:
             self._enter(lambda: self._core.stop(clip(in_one_line(f"{device} is locked out: {reason}"))))
 
@@ -164,7 +165,7 @@ class Visitors:
     def _is_late(self, hold: str, lift: bool, link: Link) -> bool:
         """Whether an order to end a stop or a pause is refused: that one may be newer than the order."""
         if not lift:
-            self._older[hold] = {other for other in self.links() if other is not link}
+            self._older[hold] = {other for other in self._peers.visiting if other is not link}
             return False
         if link not in self._older.get(hold, ()):
             return False

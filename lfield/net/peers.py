@@ -76,7 +76,8 @@ class Peers:
         self._links: dict[str, Session] = {}
         self.watch = Watch(hosts, here, self.now)
         self._tasks, self._listeners = list[asyncio.Task[None]](), list[Listener]()
-        self.on_arrival, self.on_oversize = owner.arrived, owner.too_large
+        self.on_arrival = lambda *transfer: owner.arrived(*transfer)
+        self.on_oversize = lambda *transfer: owner.too_large(*transfer)
         self._complaints, self.refusals = Complaints(owner.note, self.now), Refusals(hosts)
         self._ungreeted: Guests[Session] = Guests(MOST_UNGREETED, dice)
         self._observers: Guests[Session] = Guests(MOST_OBSERVERS, dice)

@@ -48,7 +48,7 @@ from lfield.wire.reservations import ReservationMessage
 from lfield.wire.watching import WatchMessage
 
 #: The version of everything in this package. Hosts of different versions do not talk.
-PROTOCOL = 8
+PROTOCOL = 9
 
 #: What a peer is: one of the team, or somebody who looks at it (`lfield ps`).
 Role = Literal["host", "observer"]

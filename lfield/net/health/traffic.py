@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import socket
 import struct
 from collections import deque
@@ -53,17 +54,21 @@ class Traffic:
         #: The last that was read; None where the kernel does not tell.
         self.counts: Counts | None = None
         self._kept: deque[tuple[float, Counts]] = deque()
+        self._due = -math.inf
 
     def is_due(self, now: float) -> bool:
         """Whether the counters are to be read."""
-        return not self._kept or now - self._kept[-1][0] >= APART
+        return now >= self._due
 
     def read(self, counts: Counts | None, now: float) -> None:
         """These are the counters now."""
+        is_due = self.is_due(now)
+        if is_due:
+            self._due = now + APART
         if counts is None:
             return
         self.counts = counts
-        if self.is_due(now):
+        if is_due:
             self._kept.append((now, counts))
         while len(self._kept) > 1 and self._kept[1][0] <= now - PERIOD:
             self._kept.popleft()
