@@ -1,18 +1,11 @@
-"""What went over one link, and what share of it was lost, from the counters of the kernel (Linux)."""
+"""What went over one link, and what share of it was lost, from the counters of the kernel. Pure."""
 
 from __future__ import annotations
 
 import math
-import socket
-import struct
 from collections import deque
 from typing import NamedTuple
 
-from lfield.net.health.tcp_options import Socket
-
-#: The part of `struct tcp_info` up to `tcpi_dsack_dups`, and where its fields are.
-_INFO_SIZE = 220
-_TOTAL_RETRANS, _BYTES_RECEIVED, _DATA_SEGS_OUT, _BYTES_SENT, _DSACK_DUPS = 100, 128, 156, 200, 216
 #: Loss is of the last so many seconds, and counters are kept so many seconds apart.
 PERIOD, APART = 60.0, 5.0
 #: A share of fewer segments than this says nothing.
@@ -30,21 +23,6 @@ class Counts(NamedTuple):
     bytes_received: int
     segments: int
     repeated: int
-
-
-def counts(made: Socket) -> Counts | None:
-    """What the kernel has counted; None where it does not tell all of it (before Linux 4.19)."""
-    try:
-        info = made.getsockopt(socket.IPPROTO_TCP, socket.TCP_INFO, _INFO_SIZE)
-    except OSError:
-        return None
-    if len(info) < _INFO_SIZE:
-        return None
-    (received,) = struct.unpack_from("=Q", info, _BYTES_RECEIVED)
-    (sent,) = struct.unpack_from("=Q", info, _BYTES_SENT)
-    repeated, needless = (struct.unpack_from("=I", info, at)[0] for at in (_TOTAL_RETRANS, _DSACK_DUPS))
-    (segments,) = struct.unpack_from("=I", info, _DATA_SEGS_OUT)
-    return Counts(sent, received, segments, max(0, repeated - needless))
 
 
 class Traffic:

@@ -4,18 +4,28 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from typing import TYPE_CHECKING, Literal, NamedTuple
+from typing import Literal, NamedTuple, Protocol
 
 from lfield.errors import AddressError
 from lfield.net.health.heartbeats import Heartbeats
-from lfield.net.health.traffic import Traffic
+from lfield.net.health.traffic import Counts, Traffic
 from lfield.wire.messages import Ping, Pong
-
-if TYPE_CHECKING:
-    from lfield.net.transport import Link
 
 #: How silent a link is: not, or so that another connection is tried beside it, or so that it is given up.
 Silence = Literal["", "suspected", "lost"]
+
+
+class Link(Protocol):
+    """As much of a `lfield.net.transport.Link` as is needed here."""
+
+    def send(self, message: Ping | Pong, /) -> None:
+        """Queue a message. Raises AddressError on a closed link."""
+
+    def expect(self, round_trip: float, /) -> None:
+        """Answers take so many seconds."""
+
+    def counts(self) -> Counts | None:
+        """What the kernel has counted of its connection."""
 
 
 class Figures(NamedTuple):
