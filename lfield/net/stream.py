@@ -112,6 +112,7 @@ class StreamLink(FramedLink, asyncio.Protocol):
             self._transport.set_write_buffer_limits(high=self._max_pending)
 
     def close(self) -> None:
+        self.withhold(on=False)
         self._flush()
         self.closed = True
         self._transport.close()
@@ -137,7 +138,6 @@ class StreamLink(FramedLink, asyncio.Protocol):
         self.handler = self._on_link(self)
 
     def data_received(self, data: bytes) -> None:
-        self.reads += 1
         self._meet(self.one_by_one(data))
 
     def _join(self) -> None:
@@ -246,7 +246,6 @@ class TlsLink(StreamLink):
             self._transport.write(self._channel.take())
 
     def data_received(self, data: bytes) -> None:
-        self.reads += 1
         channel = self._channel = self._channel or self._tls.channel(calls=self._calls)
         if channel.proven:
             self._meet(self._opened(channel, data))
