@@ -54,7 +54,7 @@ class FramedLink:
     def __init__(self, peer: str, max_block: int) -> None:
         self.peer = peer
         self.who: Identity = STRANGER
-        self.closed = False
+        self.closed = self.is_answered = False
         #: What is not sent yet while coordinators and answers are withheld, None while they are not; how much
         #: has come since then, and which coordinators.
         self._withheld: list[Buffer] | None = None

@@ -11,6 +11,7 @@ from lfield.errors import AddressError, LfieldError, OverBudget, WireError
 from lfield.net.door import caller_at, host_at
 from lfield.net.framed import FramedLink
 from lfield.net.transport import join_address
+from lfield.net.waiting.handshakes import source_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -233,7 +234,8 @@ class TlsLink(StreamLink):
         self._tls = tls
         self._channel: Channel | None = None
         self._proven: asyncio.Future[None] = self._loop.create_future()
-        #: Seconds of a processor that its handshake has taken.
+        #: What its address counts as, and seconds of a processor that its handshake has taken.
+        self._source = ""
         self._spent = 0.0
 
     async def ready(self) -> None:
@@ -241,21 +243,42 @@ class TlsLink(StreamLink):
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         super().connection_made(transport)
+        self._source = source_of(self.peer)
         if self._calls:
             self._channel = self._tls.channel(calls=True)
             self._transport.write(self._channel.take())
 
     def data_received(self, data: bytes) -> None:
         channel = self._channel = self._channel or self._tls.channel(calls=self._calls)
-        if channel.proven:
-            self._meet(self._opened(channel, data))
+        coming = self._opened(channel, data)
+        if channel.proven or self._calls:
+            self._meet(coming)
             return
+        self._left = coming
+        strangers, is_answered, self.is_answered = self._reception.strangers, self.is_answered, True
+        strangers.enter(self, self._source, is_answered=is_answered)
+        self._read_on()
+
+    def shake_hands(self) -> bool:
+        """See `Shaking.shake_hands`. What comes behind the handshake is met as that of anybody known."""
+        coming, channel = self._left, self._channel
+        if coming is None or channel is None or self.closed:
+            return False
         began = self._reception.busy()
-        self._meet(self._opened(channel, data))
+        more = next(coming, coming) is None
         self._spent += self._reception.busy() - began
-        if channel.proven and channel.who.kind == "host" and not self._calls:
+        if more and not channel.proven:
+            return True
+        self._left = None
+        if channel.proven and channel.who.kind == "host":
             self._join()
             self._reception.members.on_handshake(self, self._member, self._spent)
+        if more and (self._is_rationed or self._is_guest):
+            self._queue(coming)
+        elif more:
+            self._meet(coming)
+        self._read_on()
+        return False
 
     def _opened(self, channel: Channel, data: bytes) -> Iterator[None]:
         """A little at a time: a record may have a thousand messages, or nothing but work."""
@@ -272,6 +295,7 @@ class TlsLink(StreamLink):
                 self.who = channel.who
                 if channel.proven and not self._proven.done():
                     self._proven.set_result(None)
+                    self._reception.strangers.on_proven(self._source)
                 if start + size < len(view):
                     yield
         except LfieldError as error:
@@ -290,6 +314,12 @@ class TlsLink(StreamLink):
     def _say(self, channel: Channel) -> None:
         if data := channel.take():
             self._transport.write(data)
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        self._reception.strangers.leave(self)
+        if self.is_answered and not self._proven.done():
+            self._reception.strangers.on_failed(self._source)
+        super().connection_lost(exc)
 
     def finished(self, error: LfieldError | None) -> None:
         # Now, and not when the collector finds this link: of strangers that would pile up until then.

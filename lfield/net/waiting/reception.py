@@ -15,6 +15,7 @@ from collections.abc import Callable
 from typing import Protocol
 
 from lfield.errors import OverBudget
+from lfield.net.waiting.handshakes import Handshakes
 from lfield.net.waiting.rations import OVER_FOR, RATION, Rations, Standing
 from lfield.net.waiting.turns import Rank, Turns
 
@@ -34,6 +35,13 @@ class Waiting(Protocol):
 
     def take_one(self) -> bool:
         """Take one message, or a part of one; whether there is more."""
+
+
+class Shaking(Protocol):
+    """A link whose other end has not proven who it is."""
+
+    def shake_hands(self) -> bool:
+        """Take a part of its handshake that has come; whether another part of it has."""
 
 
 class MemberLink(Waiting, Protocol):
@@ -67,6 +75,7 @@ class Reception:
         self.busy = busy
         self._timer: asyncio.TimerHandle | None = None
         self.members = Members(busy, exempt)
+        self.strangers = Strangers(busy)
 
     def enter(self, guest: Waiting, person: str) -> None:
         """There is something to take of a guest of this person that did not wait."""
@@ -94,6 +103,44 @@ class Reception:
         self._take()
         if self._turns.used:
             self._timer = asyncio.get_running_loop().call_later(ROUND, self._again)
+
+
+class Strangers:
+    """Continues handshakes of callers that have not proven who they are, as their budget allows."""
+
+    def __init__(self, busy: Callable[[], float]) -> None:
+        self._busy, self._handshakes = busy, Handshakes[Shaking]()
+        self._timer: asyncio.TimerHandle | None = None
+
+    def enter(self, link: Shaking, source: str, *, is_answered: bool) -> None:
+        """A part of a handshake has come of a link that did not wait."""
+        self._handshakes.enter(link, source, is_answered=is_answered)
+        if self._timer is None:
+            self._take()
+
+    def leave(self, link: Shaking) -> None:
+        """A link has gone; it may not have waited."""
+        self._handshakes.leave(link)
+
+    def on_proven(self, source: str) -> None:
+        """Who is at an address has proven who it is."""
+        self._handshakes.sources.on_proven(source)
+
+    def on_failed(self, source: str) -> None:
+        """A handshake was answered there and came to nothing."""
+        self._handshakes.sources.on_failed(source)
+
+    def _take(self) -> None:
+        loop, self._timer = asyncio.get_running_loop(), None
+        while (link := self._handshakes.next(loop.time())) is not None:
+            began = self._busy()
+            if not link.shake_hands():
+                self._handshakes.leave(link)
+            self._handshakes.took(self._busy() - began, loop.time())
+        due = self._handshakes.due(loop.time())
+        if due < math.inf:
+            # Timers of some loops are early by up to a millisecond.
+            self._timer = loop.call_at(due + PAUSE, self._take)
 
 
 class Members:
