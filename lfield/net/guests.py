@@ -53,7 +53,7 @@ class Guests(Generic[G]):
     def leave(self, guest: G) -> None:
         """One has gone; any other is none here."""
         address = self._addresses.pop(guest, None)
-        if address is not None and self._stage(guest):
+        if address is not None:
             self._sources.on_failed(address)
 
     def prove(self, guest: G, address: str) -> None:

@@ -317,7 +317,7 @@ class TlsLink(StreamLink):
 
     def connection_lost(self, exc: Exception | None) -> None:
         self._reception.strangers.leave(self)
-        if self.is_answered and not self._proven.done():
+        if not (self._calls or self._proven.done()):
             self._reception.strangers.on_failed(self._source)
         super().connection_lost(exc)
 

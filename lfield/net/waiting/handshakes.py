@@ -2,9 +2,9 @@
 
 All of them together have RATION of one processor. Addresses take turns, in three groups that take turns among
 themselves: addresses from which a caller has proven who it is, addresses from which none has called, and
-those whose last handshake came to nothing. A caller whose handshake is half done does not wait behind the new
-callers of its own address. So a flood from one address, or from many, delays callers from others by a few
-handshakes, and a member that comes back from a known address is never kept out. Pure.
+those from which the last connection ended without a proof. A caller whose handshake is half done does not
+wait behind the new callers of its own address. So a flood from one address, or from many, delays callers from
+others by a few handshakes, and a member that comes back from a known address is never kept out. Pure.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ G = TypeVar("G")
 #: The part of one processor for all handshakes of strangers, and seconds of it that they may take at once.
 RATION, AT_ONCE = 0.25, 0.005
 #: So many addresses are remembered at most of each kind.
-MOST_REMEMBERED = 1024
+MOST_REMEMBERED = 4096
 
 
 class Trust(IntEnum):
@@ -30,7 +30,7 @@ class Trust(IntEnum):
     #: Somebody who called from there has proven who it is.
     PROVEN = 0
     NEW = 1
-    #: A handshake was answered there and came to nothing since.
+    #: A connection from there ended before anybody had proven who it is.
     FAILED = 2
 
 
@@ -53,7 +53,7 @@ class Sources:
         self._failed.pop(source, None)
 
     def on_failed(self, source: str) -> None:
-        """A handshake was answered there and came to nothing."""
+        """A connection from there ended before anybody had proven who it is."""
         _remember(self._failed, source)
 
 

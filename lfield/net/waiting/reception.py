@@ -127,7 +127,7 @@ class Strangers:
         self._handshakes.sources.on_proven(source)
 
     def on_failed(self, source: str) -> None:
-        """A handshake was answered there and came to nothing."""
+        """A connection from there ended before anybody had proven who it is."""
         self._handshakes.sources.on_failed(source)
 
     def _take(self) -> None:
