@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 
     from lfield.authority.identity import Identity
     from lfield.errors import LfieldError
+    from lfield.net.health.traffic import Counts
     from lfield.net.transport import LinkHandler
     from lfield.wire.coordinators import Transfer
     from lfield.wire.framing import Buffer
@@ -82,6 +83,13 @@ class FramedLink:
     def greeted(self, role: Role) -> None:
         """See `Link.greeted`."""
         self._decoder.limits = limits(role, self._max_block)
+
+    def expect(self, round_trip: float) -> None:
+        """See `Link.expect`: nothing to do without a socket."""
+
+    def counts(self) -> Counts | None:
+        """See `Link.counts`."""
+        return None
 
     def send(self, message: Message) -> None:
         """Queue a message. Raises AddressError on a closed link."""

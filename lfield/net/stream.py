@@ -10,12 +10,16 @@ from lfield.authority.identity import STRANGER, Identity
 from lfield.errors import AddressError, LfieldError, OverBudget, WireError
 from lfield.net.door import caller_at, host_at
 from lfield.net.framed import FramedLink
+from lfield.net.health.tcp_options import LEAST_MARGIN, margin, set_margin, set_options
+from lfield.net.health.traffic import counts
 from lfield.net.transport import join_address
 from lfield.net.waiting.handshakes import source_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
+    from lfield.net.health.tcp_options import Socket
+    from lfield.net.health.traffic import Counts
     from lfield.net.tls import Channel, Tls
     from lfield.net.transport import Link, LinkHandler
     from lfield.net.waiting.reception import Reception
@@ -74,6 +78,9 @@ class StreamLink(FramedLink, asyncio.Protocol):
         self._left: Iterator[None] | None = None
         #: Whether the member is not to be read for now, and whether nothing is read.
         self._is_held = self._is_paused = False
+        #: The socket of a connection over TCP, and the margin of its retransmission time-out, in seconds.
+        self._socket: Socket | None = None
+        self._margin = LEAST_MARGIN
 
     async def ready(self) -> None:
         """Return when messages can be sent. Raises GreetingError, WireError and AddressError."""
@@ -112,6 +119,17 @@ class StreamLink(FramedLink, asyncio.Protocol):
             self._max_pending = FOR_OBSERVERS
             self._transport.set_write_buffer_limits(high=self._max_pending)
 
+    def expect(self, round_trip: float) -> None:
+        """See `Link.expect`: the option is set when it changes by a quarter."""
+        wanted = margin(round_trip)
+        if self._socket is not None and not self.closed and not 0.8 <= wanted / self._margin <= 1.25:
+            self._margin = wanted
+            set_margin(self._socket, wanted)
+
+    def counts(self) -> Counts | None:
+        """See `Link.counts`."""
+        return None if self._socket is None or self.closed else counts(self._socket)
+
     def close(self) -> None:
         self.withhold(on=False)
         self._flush()
@@ -132,8 +150,8 @@ class StreamLink(FramedLink, asyncio.Protocol):
         if made.family == socket.AF_UNIX:
             self.who = host_at(made) if self._calls else caller_at(made)
         else:
-            # A hop is one small write that nobody answers: it must not wait to be joined by more.
-            made.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            set_options(made)
+            self._socket = made
             self.who = self._resident(self.peer)
         self._transport.set_write_buffer_limits(high=self._max_pending)
         self.handler = self._on_link(self)
