@@ -159,7 +159,9 @@ class Motion:
             await self._begin("hold", reposition(state, place, None))
         except DeviceError:
             return False
-        await self._has_left(fed, "hold", dialect.MAV_CMD_DO_SET_MODE, *profile.mode_command(profile.hold))
+        if fed:
+            values = profile.mode_command(profile.hold)
+            await self.failsafe.did_the_same("hold", dialect.MAV_CMD_DO_SET_MODE, *values)
         self.stream.stop()
         return True
 
@@ -180,15 +182,11 @@ class Motion:
         await self._vehicle.achieve(
             what, lambda: self._state.mode == mode or done(), command, *values, mode=mode
         )
-        await self._has_left(fed, what, command, *values)
+        if fed:
+            await self.failsafe.did_the_same(what, command, *values)
         if mode != self._vehicle.profile.guided:
             self.stream.stop()
         self.claim(mode)
-
-    async def _has_left(self, fed: bool, what: str, command: int, *values: float) -> None:
-        """A mode was entered by a command; if PX4 was `fed` its setpoints before, it may have missed some."""
-        if fed:
-            await self.failsafe.did_the_same(what, command, *values)
 
     # -- motions --------------------------------------------------------------------------------------
 
