@@ -229,6 +229,7 @@ class MavlinkVehicle(Contact):
             self._keeper.keep(),
             self._missions.keep(),
             self.motion.speed.keep(),
+            self.motion.hover.keep(),
             self._guidance.keep(),
             self._nature.keep(),
             self.motion.monitor.keep(),
