@@ -28,6 +28,7 @@ from lfield.net.paths.dialler import Dialler
 from lfield.net.session import Session
 from lfield.net.transport import Link, Listener, Transport
 from lfield.net.waiting.bars import Bars
+from lfield.net.waiting.handshakes import source_of
 from lfield.wire.coordinators import Transfer
 from lfield.wire.framing import Buffer
 from lfield.wire.messages import QUESTION, Control, Hello, Ping, Pong, Revocations
@@ -79,7 +80,7 @@ class Peers:
         self.on_arrival = lambda *transfer: owner.arrived(*transfer)
         self.on_oversize = lambda *transfer: owner.too_large(*transfer)
         self._complaints, self.refusals = Complaints(owner.note, self.now), Refusals(hosts)
-        self._ungreeted: Guests[Session] = Guests(MOST_UNGREETED, dice)
+        self._ungreeted: Guests[Session] = Guests(MOST_UNGREETED, dice, lambda one: one.link.is_answered)
         self._observers: Guests[Session] = Guests(MOST_OBSERVERS, dice)
         #: The hosts that have neither greeted yet nor failed to answer a call, and those that have greeted.
         self._unheard = {host for i, host in enumerate(hosts) if i != here}
@@ -98,11 +99,6 @@ class Peers:
         """When something last came from a host, on the monotonic clock; None when nothing ever did."""
         session = self._links.get(host)
         return session.heard if session else self._last_heard.get(host)
-
-    @property
-    def visiting(self) -> set[Link]:
-        """The links of observers, and those that have not greeted yet."""
-        return {session.link for session in (*self._ungreeted, *self._observers)}
 
     async def open(self, address: str) -> str:
         """Listen, begin to call the others; returns the address with its real port. Raises AddressError.
@@ -164,11 +160,10 @@ class Peers:
     # --- both directions ------------------------------------------------------------------------------
 
     def _called(self, link: Link) -> Session:
-        session = Session(self, dialled=None)
         # The transport hands out messages only when this has returned.
-        session.wait(link)
+        (session := Session(self, dialled=None)).wait(link)
         last = not spare_descriptors(SPARE)
-        pushed = self._ungreeted.enter(session, session.caller, last=last)
+        pushed = self._ungreeted.enter(session, source_of(link.peer), last=last)
         if pushed is not None:
             pushed.turn_away(FULL if last else f"over {MOST_UNGREETED} links to this host have not greeted")
         return session
@@ -330,7 +325,7 @@ class Peers:
 
     def known(self, session: Session, hello: Hello) -> None:
         """A link has greeted, and its other side has taken ours."""
-        self._ungreeted.leave(session)
+        self._ungreeted.prove(session, source_of(session.link.peer))
         self._admission.greeted(session.link.who, hello)
         if line := self._admission.line():
             self.complain(line)
@@ -358,8 +353,8 @@ class Peers:
 
     def gone(self, session: Session) -> None:
         """A link is closed."""
-        self._ungreeted.leave(session)
-        self._observers.leave(session)
+        for guests in (self._ungreeted, self._observers):
+            guests.leave(session)
         host = session.hello.host if session.hello else ""
         if self._links.get(host) is session:
             del self._links[host]

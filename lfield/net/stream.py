@@ -12,6 +12,7 @@ from lfield.net.door import caller_at, host_at
 from lfield.net.framed import FramedLink
 from lfield.net.health.tcp_options import LEAST_MARGIN, counts, margin, set_margin, set_options
 from lfield.net.transport import join_address
+from lfield.net.waiting.handshakes import source_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -129,6 +130,7 @@ class StreamLink(FramedLink, asyncio.Protocol):
         return None if self._socket is None or self.closed else counts(self._socket)
 
     def close(self) -> None:
+        self.withhold(on=False)
         self._flush()
         self.closed = True
         self._transport.close()
@@ -154,7 +156,6 @@ class StreamLink(FramedLink, asyncio.Protocol):
         self.handler = self._on_link(self)
 
     def data_received(self, data: bytes) -> None:
-        self.reads += 1
         self._meet(self.one_by_one(data))
 
     def _join(self) -> None:
@@ -250,7 +251,8 @@ class TlsLink(StreamLink):
         self._tls = tls
         self._channel: Channel | None = None
         self._proven: asyncio.Future[None] = self._loop.create_future()
-        #: Seconds of a processor that its handshake has taken.
+        #: What its address counts as, and seconds of a processor that its handshake has taken.
+        self._source = ""
         self._spent = 0.0
 
     async def ready(self) -> None:
@@ -258,22 +260,42 @@ class TlsLink(StreamLink):
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         super().connection_made(transport)
+        self._source = source_of(self.peer)
         if self._calls:
             self._channel = self._tls.channel(calls=True)
             self._transport.write(self._channel.take())
 
     def data_received(self, data: bytes) -> None:
-        self.reads += 1
         channel = self._channel = self._channel or self._tls.channel(calls=self._calls)
-        if channel.proven:
-            self._meet(self._opened(channel, data))
+        coming = self._opened(channel, data)
+        if channel.proven or self._calls:
+            self._meet(coming)
             return
+        self._left = coming
+        strangers, is_answered, self.is_answered = self._reception.strangers, self.is_answered, True
+        strangers.enter(self, self._source, is_answered=is_answered)
+        self._read_on()
+
+    def shake_hands(self) -> bool:
+        """See `Shaking.shake_hands`. What comes behind the handshake is met as that of anybody known."""
+        coming, channel = self._left, self._channel
+        if coming is None or channel is None or self.closed:
+            return False
         began = self._reception.busy()
-        self._meet(self._opened(channel, data))
+        more = next(coming, coming) is None
         self._spent += self._reception.busy() - began
-        if channel.proven and channel.who.kind == "host" and not self._calls:
+        if more and not channel.proven:
+            return True
+        self._left = None
+        if channel.proven and channel.who.kind == "host":
             self._join()
             self._reception.members.on_handshake(self, self._member, self._spent)
+        if more and (self._is_rationed or self._is_guest):
+            self._queue(coming)
+        elif more:
+            self._meet(coming)
+        self._read_on()
+        return False
 
     def _opened(self, channel: Channel, data: bytes) -> Iterator[None]:
         """A little at a time: a record may have a thousand messages, or nothing but work."""
@@ -290,6 +312,7 @@ class TlsLink(StreamLink):
                 self.who = channel.who
                 if channel.proven and not self._proven.done():
                     self._proven.set_result(None)
+                    self._reception.strangers.on_proven(self._source)
                 if start + size < len(view):
                     yield
         except LfieldError as error:
@@ -308,6 +331,12 @@ class TlsLink(StreamLink):
     def _say(self, channel: Channel) -> None:
         if data := channel.take():
             self._transport.write(data)
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        self._reception.strangers.leave(self)
+        if not (self._calls or self._proven.done()):
+            self._reception.strangers.on_failed(self._source)
+        super().connection_lost(exc)
 
     def finished(self, error: LfieldError | None) -> None:
         # Now, and not when the collector finds this link: of strangers that would pile up until then.

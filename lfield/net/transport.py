@@ -63,6 +63,10 @@ class Link(Protocol):
         """Who is there, as proven. Whoever calls knows it when the link is made; whoever is called may take
         the other for a stranger until the first message has come."""
 
+    @property
+    def is_answered(self) -> bool:
+        """Whether a handshake has begun that the other end began."""
+
     def send(self, message: Message) -> None:
         """Queue a message. Raises AddressError on a closed link."""
 

@@ -37,6 +37,8 @@ Count = Annotated[int, Meta(ge=0, le=2**63 - 1)]
 #: A number that whoever hears it counts on from: what comes next is still a Count.
 Ordinal = Annotated[int, Meta(ge=0, le=2**62)]
 Hash = Annotated[bytes, Meta(max_length=HASH_SIZE)]
+#: The id of an order to stop or pause, or to end either: random, drawn by whoever gives it.
+OrderId = Annotated[bytes, Meta(min_length=16, max_length=16)]
 Index = Annotated[int, Meta(ge=0, le=2**16 - 1)]
 Label = Annotated[str, Meta(max_length=MAX_LABEL)]
 Age = Annotated[float, Meta(ge=0.0, le=OLDEST)]
