@@ -10,6 +10,7 @@ import asyncio
 import errno
 import os
 import random
+import secrets
 import traceback
 from collections import deque
 from collections.abc import Callable, Collection, Iterable
@@ -34,6 +35,7 @@ from lfield.host.logbook import Logbook
 from lfield.host.scribe import Scribe
 from lfield.host.sight.teller import Teller
 from lfield.host.status import status_of
+from lfield.host.stopping.shell import OrderKeys, order_datagrams
 from lfield.host.surroundings import Surroundings
 from lfield.host.visitors import Visitors
 from lfield.journal.journal import Journal
@@ -49,6 +51,7 @@ from lfield.vm.machine import Machine
 from lfield.wire.coordinators import Transfer
 from lfield.wire.messages import Control, Hello
 from lfield.wire.observing import Status, StatusRequest
+from lfield.wire.orders import RelayedAnswer, RelayedOrder
 
 #: How long a starting host waits for the others' first answers before it starts its coordinators: one that
 #: is alive elsewhere must not be started twice. Longer than a host waits before it calls again.
@@ -65,6 +68,7 @@ class Options:
 
     `journal` keeps what this host has of coordinators; without one that is gone with its process, and all
     hosts are heard before any is started. `first_start`: somebody says that there was no start before.
+    `draw` gives so many random bytes. With `orders` it takes orders to stop and to pause as datagrams.
     `engine` is one of `lfield.vm.wasm.choice.CHOICES`. `admission` says who may have links with it. Times are
     in seconds.
     """
@@ -79,6 +83,8 @@ class Options:
     first_start: bool = False
     engine: str = "reference"
     admission: Admission = field(default_factory=Admission)
+    draw: Callable[[int], bytes] = secrets.token_bytes
+    orders: OrderKeys | None = None
 
 
 class Host:
@@ -122,11 +128,20 @@ class Host:
             self.scribe.times,
             engines_for(options.engine, self.note),
             self.teller,
+            options.draw,
         )
         self._visitors = Visitors(
             self.core, self.guards, self.clock, self._enter, self.status, self.note, self.scribe.all_kept
         )
-        self._visitors.links = lambda: self.peers.visiting
+        self._datagrams = order_datagrams(
+            options.orders,
+            transport,
+            options.admission,
+            self.core,
+            self._visitors.stops,
+            self.peers,
+            self.fail,
+        )
         self.changed = asyncio.Event()
         self.broken: dict[str, bool] = {}  # by agent that has died here: whether of a bug of lfield
         #: Set when the host has failed: `failure` says by what.
@@ -165,10 +180,10 @@ class Host:
         self.address = await self.peers.open(self.options.listen)
         await self._open_door(self.options.door)
         devices = self.mission.devices_of(self.name)
-        self._visitors.stay_stopped()
+        self._visitors.stops.stay_stopped()
         await insist(self.guards.lateness.limit, devices, self.clock)
         await self.guards.open(devices)
-        await self._visitors.stay_paused()
+        await self._visitors.stops.stay_paused()
         where = f"on {self.address}" if self.address else "for this computer alone"
         self.note(f"{self.name} is up {where}{'' if self.scribe.memory else ', and keeps nothing'}")
         if line := self.options.admission.line():
@@ -212,6 +227,8 @@ class Host:
         if self._timer:
             self._timer.cancel()
         self.peers.close()
+        if self._datagrams is not None:
+            self._datagrams.close()
         self.logbook.flush()
         return unsafe
 
@@ -364,6 +381,8 @@ class Host:
             if host:
                 self._enter(partial(self.core.told, host, message))
             self.changed.set()
+        elif isinstance(message, RelayedOrder | RelayedAnswer) and self._datagrams is not None:
+            self._datagrams.relayed(host, message)
         elif isinstance(message, StatusRequest) or not host:
             self._visitors.received(message, link)
         else:

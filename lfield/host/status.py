@@ -90,6 +90,7 @@ def status_of(
         unkept=clip(unkept),
         refused=core.startup.readiness.refused,
         start=core.startup.status,
+        epochs=core.orders.epochs,
     )
 
 

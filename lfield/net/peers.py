@@ -97,11 +97,6 @@ class Peers:
         session = self._links.get(host)
         return session.heard if session else self._last_heard.get(host)
 
-    @property
-    def visiting(self) -> set[Link]:
-        """The links of observers, and those that have not greeted yet."""
-        return {session.link for session in (*self._ungreeted, *self._observers)}
-
     async def open(self, address: str) -> str:
         """Listen, begin to call the others; returns the address with its real port. Raises AddressError.
 

@@ -6,8 +6,6 @@ import asyncio
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Generic, NamedTuple, TypeVar
 
-from msgspec.structs import replace
-
 from lfield.errors import AddressError, GreetingError, KeysError, LfieldError, WireError
 from lfield.net.greeting import Greeting
 from lfield.wire.messages import Hello, Message, Refuse, Revocations
@@ -20,6 +18,7 @@ from lfield.wire.observing import (
     Recovered,
     StartResponse,
     Status,
+    named,
 )
 from lfield.wire.orders import HOLDS, UNKNOWN, Epochs
 
@@ -79,7 +78,7 @@ def answered_challenge(message: Message, challenge: OrderChallenge) -> OrderMess
         return None
     if message.kind not in HOLDS and message.epoch != UNKNOWN:
         return None
-    return replace(message, epoch=challenge.epochs.of(message.kind))
+    return named(message, challenge.epochs)
 
 
 async def ask(
@@ -160,7 +159,7 @@ class _Asking(ObserverLink, Generic[T]):
         """Send the request; an order names the epoch that the host has just told."""
         message = self._request.message
         if isinstance(message, EmergencyStop | Pause):
-            message = replace(message, epoch=epochs.of(message.kind))
+            message = named(message, epochs)
         self._asked = message
         link.send(message)
 

@@ -215,6 +215,7 @@ class Fleet:
             unreachable_after=self._unreachable_after,
             journal=journal,
             first_start=name not in self._known and not disk.pages(),
+            draw=random.Random(f"orders {name} {machine.clock.monotonic()}").randbytes,
         )
         if not self.keeps:
             self._known.add(name)

@@ -8,6 +8,7 @@ from __future__ import annotations
 from typing import Annotated, Literal
 
 from msgspec import Meta, Struct
+from msgspec.structs import replace
 
 from lfield.wire.coordinators import CopyState, Known
 from lfield.wire.fields import (
@@ -308,3 +309,8 @@ class StartResponse(Struct, frozen=True, array_like=True, forbid_unknown_fields=
     started: Annotated[list[Name], Meta(max_length=4096)]
     waiting: StartStatus | None = None
     trouble: Text = ""
+
+
+def named(order: EmergencyStop | Pause, epochs: Epochs) -> EmergencyStop | Pause:
+    """An order that names the epoch of its kind of a host with these `epochs`."""
+    return replace(order, epoch=epochs.of(order.kind))

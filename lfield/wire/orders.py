@@ -13,6 +13,7 @@ from typing import Annotated, Literal, TypeVar
 
 import msgspec
 from msgspec import Meta, Struct
+from msgspec.structs import replace
 
 from lfield.errors import WireError
 from lfield.wire.fields import Name, OrderId, clip
@@ -106,8 +107,9 @@ class SignedAnswer(Struct, frozen=True, array_like=True, forbid_unknown_fields=T
 
 class CertificateRequest(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=3):
     """From a host that knows no certificate of this digest: send the order again with it, and with these
-    epochs. It is not signed, since it answers whoever asks, and it is smaller than any order."""
+    epochs. It is not signed, since it answers whoever asks, and never larger than what it answers."""
 
+    host: Name
     signer: Digest
     epochs: Epochs
     attempt: Attempt = 0
@@ -236,6 +238,11 @@ def confirmed(id: bytes, epochs: Epochs, devices: Mapping[str, str], trouble: st
             safe.append(name)
     more = len(devices) - len(safe) - len(unsafe)
     return Confirmed(id, epochs, tuple(safe), unsafe, clip(trouble, MAX_SENTENCE), more)
+
+
+def with_attempt(answer: Answer, attempt: int) -> Answer:
+    """An answer to the datagram of that number."""
+    return replace(answer, attempt=attempt)
 
 
 def devices_of(answer: Confirmed) -> dict[str, str]:

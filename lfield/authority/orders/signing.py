@@ -59,6 +59,11 @@ class Certificates:
             self._known.move_to_end(digest)
         return found
 
+    def of_host(self, name: str) -> Known | None:
+        """The certificate of a host, the one that was used last."""
+        found = (known for known in reversed(self._known.values()) if known.who.kind == "host")
+        return next((known for known in found if known.who.name == name), None)
+
     def add(self, known: Known) -> None:
         """Remember a certificate that `verified_certificate` has verified."""
         self._known[digest_of(known.certificate)] = known
@@ -66,8 +71,12 @@ class Certificates:
         if len(self._known) > MOST_CERTIFICATES:
             self._known.popitem(last=False)
 
+    def seen(self, certificate: bytes, who: Identity) -> None:
+        """A certificate that TLS has verified."""
+        self.add(Known(certificate, who))
+
     def learn(self, certificate: bytes) -> Identity:
-        """Verify a certificate in DER that came over a link, and remember it. Raises KeysError."""
+        """Verify a certificate in DER that was kept, and remember it. Raises KeysError."""
         known = self._known.get(digest_of(certificate)) or verified_certificate(certificate, self.authority)
         self.add(known)
         return known.who

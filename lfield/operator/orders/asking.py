@@ -52,14 +52,8 @@ class Send(NamedTuple):
     datagram: bytes
 
 
-class Newer(NamedTuple):
-    """A host was given a newer order before this one to end it, so this one was not signed again."""
-
-    epochs: Epochs
-
-
 #: How an order has ended at a host.
-Result = Confirmed | Denied | Newer
+Result = Confirmed | Denied
 
 
 @dataclass(slots=True)
@@ -181,42 +175,40 @@ class Asking:
         if host in self._hosts:
             self._hosts[host].due = None
 
-    def heard(self, data: bytes, now: float, sender: str = "") -> None:
-        """A datagram has come; `sender` is the host at the address it is from, '' where that is nobody's.
-
-        Whatever is not an answer of one of the hosts to this order is ignored.
-        """
+    def heard(self, data: bytes, now: float) -> None:
+        """A datagram has come, from any address. Whatever is no answer to this order is ignored."""
         try:
             datagram = decode_datagram(data)
             if isinstance(datagram, CertificateRequest):
-                self._requested(datagram, sender, now)
+                self._requested(datagram, now)
             elif isinstance(datagram, SignedAnswer):
                 known = self._certificates.get(datagram.signer)
                 if known is None and not datagram.certificate:
-                    self._shown_to_nobody(sender, now)
+                    self._need_certificates(now)
                     return
                 answer, known = verified_answer(datagram, known, self._certificates.authority)
                 self._answered(answer, known, now)
         except LfieldError:
             return
 
-    def _requested(self, request: CertificateRequest, sender: str, now: float) -> None:
-        """A host does not know the certificate; what it says of its epochs is a hint, and not signed."""
-        host = self._hosts.get(sender)
+    def _requested(self, request: CertificateRequest, now: float) -> None:
+        """A host does not know the certificate. That is not signed, so it is heard once, and what it says of
+        epochs is a hint: a false one costs a challenge."""
+        host = self._hosts.get(request.host)
         if host is None or host.due is None or host.certificate or request.signer != self._signer.digest:
             return
         self._measure(host, request.attempt, now)
         host.certificate = self._signer.certificate
         if host.named == UNKNOWN:
-            self._sign_again(sender, host, request.epochs)
-        self._send(sender, now)
+            self._sign_again(request.host, host, request.epochs)
+        self._send(request.host, now)
 
-    def _shown_to_nobody(self, sender: str, now: float) -> None:
-        """A host has another certificate than the one that was kept of it: ask for that, once."""
-        host = self._hosts.get(sender)
-        if host is not None and host.due is not None and host.known is not None and not host.has_answered:
-            host.known = None
-            self._send(sender, now)
+    def _need_certificates(self, now: float) -> None:
+        """Some host has another certificate than the one that was kept of it: ask for it, once."""
+        for name, host in self._hosts.items():
+            if host.due is not None and host.known is not None and not host.has_answered:
+                host.known = None
+                self._send(name, now)
 
     def _answered(self, answer: Answer, known: Known, now: float) -> None:
         name = known.who.name
@@ -244,7 +236,6 @@ class Asking:
         if epochs.of(self.kind) == host.named or host.times_signed >= MOST_SIGNED:
             return
         if self.kind not in HOLDS and host.named != UNKNOWN:
-            host.result, host.due = Newer(epochs), None
             return
         self._sign_again(name, host, epochs)
         self._send(name, now)

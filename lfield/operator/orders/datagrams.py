@@ -8,15 +8,13 @@ from collections.abc import Callable, Mapping
 from lfield.errors import AddressError, GreetingError, LfieldError
 from lfield.net.paths.names import Found, SocketAddress, looked_up
 from lfield.net.transport import split_address
-from lfield.operator.orders.asking import Asking, Newer
+from lfield.operator.orders.asking import Asking
 from lfield.operator.orders.post import Heard, Post, Sockets
 from lfield.wire.observing import EmergencyStopped
 from lfield.wire.orders import Confirmed, Denied, devices_of
 
 #: A name may lead to so many addresses that get datagrams, as long as none has answered.
 MOST_ADDRESSES = 2
-
-NEWER = "a newer order arrived there before this one: look at the state, then repeat the order"
 
 
 class Datagrams:
@@ -32,9 +30,8 @@ class Datagrams:
         self._loop = asyncio.get_running_loop()
         self._post = open_post(self._heard)
         self._timer: asyncio.TimerHandle | None = None
-        #: Where each host is, and who is at an address; and the datagrams of hosts that are still looked up.
+        #: Where each host is, and the datagrams of hosts that are still looked up.
         self._found: dict[str, list[Found]] = {}
-        self._hosts: dict[tuple[str | int, ...], str] = {}
         self._waiting: dict[str, bytes] = {}
         self._answers = {host: self._loop.create_future() for host in addresses}
         self._needs_link = {host: asyncio.Event() for host in addresses}
@@ -79,7 +76,7 @@ class Datagrams:
     # --- events ---------------------------------------------------------------------------------------
 
     def _heard(self, data: bytes, sender: SocketAddress) -> None:
-        self.asking.heard(data, self._loop.time(), self._hosts.get(sender[:2], ""))
+        self.asking.heard(data, self._loop.time())
         self._turn()
 
     def _tick(self) -> None:
@@ -95,8 +92,6 @@ class Datagrams:
             self._needs_link[host].set()
             return
         self._found[host] = found[:MOST_ADDRESSES]
-        for at in self._found[host]:
-            self._hosts[at.address[:2]] = host
         if (data := self._waiting.pop(host, None)) is not None:
             self._send(host, data)
 
@@ -119,7 +114,7 @@ class Datagrams:
         for at in self._found[host]:
             self._post.send(data, at)
 
-    def _ended(self, host: str, result: Confirmed | Denied | Newer) -> None:
+    def _ended(self, host: str, result: Confirmed | Denied) -> None:
         match result:
             case Confirmed(more=0):
                 stopped = EmergencyStopped(devices_of(result), result.trouble, result.id, result.epochs)
@@ -130,10 +125,8 @@ class Datagrams:
                 return
             case Confirmed():
                 why = f"it has executed the order, and does not say how {result.more} of its devices are"
-            case Newer():
-                why = NEWER
-        self._partial[host] = AddressError(self._addresses[host], why)
-        self._needs_link[host].set()
+                self._partial[host] = AddressError(self._addresses[host], why)
+                self._needs_link[host].set()
 
     def _plan(self) -> None:
         if self._timer is not None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 
 from lfield.authority.keys import Keys
 from lfield.authority.orders.signing import Certificates, Known, Signer
@@ -22,7 +23,7 @@ class Desk:
     def __init__(self, keys: Keys, known: KnownHosts, open_post: Callable[[Heard], Post] = Sockets) -> None:
         self._known, self._open_post = known, open_post
         self._signer = Signer(keys)
-        self._certificates = Certificates(keys.authority)
+        self.certificates = Certificates(keys.authority)
         self._team = team_of(keys.authority)
 
     def give(self, message: OrderMessage, addresses: Mapping[str, str]) -> Datagrams:
@@ -39,7 +40,7 @@ class Desk:
             message.reason if isinstance(message, EmergencyStop) else "",
             {host: known.epochs if is_hold else Epochs() for host, known in found.items()},
             self._signer,
-            self._certificates,
+            self.certificates,
             {host: known.trip for host, known in found.items() if known.trip is not None},
             {host: self._learned(host, known.certificate) for host, known in found.items()},
         )
@@ -48,14 +49,11 @@ class Desk:
         return given
 
     def _learned(self, host: str, certificate: bytes) -> Known | None:
-        """The certificate of a host that was kept, if the authority has signed it for that host."""
-        if not certificate:
-            return None
-        try:
-            who = self._certificates.learn(certificate)
-        except KeysError:
-            return None
-        return Known(certificate, who) if (who.kind, who.name) == ("host", host) else None
+        """The certificate of a host that was learned by a connection, or kept."""
+        if certificate:
+            with suppress(KeysError):
+                self.certificates.learn(certificate)
+        return self.certificates.of_host(host)
 
     def taken(self, given: Datagrams) -> None:
         """Close what `give` has begun, and keep what was learned of the hosts."""
