@@ -19,7 +19,7 @@ from lfield.net.tcp import TcpTransport
 from lfield.net.transport import Transport, is_number
 from lfield.operator.addressed import Party, Place
 from lfield.operator.observing import Brought, OrderMessage, Request, ask
-from lfield.operator.orders.known_hosts import KnownHosts, team_of
+from lfield.operator.orders.known_hosts import KnownHosts
 from lfield.text.visible import in_one_line
 from lfield.wire.fields import clip
 from lfield.wire.observing import (
@@ -116,42 +116,43 @@ def asked_in_turn(
     """
     places = {place: address for party in parties for place, address in party.places.items()}
     failed: dict[Place, LfieldError] = {}
-    own, desk = None, None
+    known, desk = None, None
     try:
         own = own_keys(places.values(), keys)
-        transport, brings = observer(own), brought(own)
-        desk = desk_with(own) if own is not None and isinstance(request.message, OrderMessage) else None
+        known = KnownHosts.read(own.authority) if own is not None else None
+        transport, brings = observer(own, known), brought(own)
+        if own is not None and known is not None and isinstance(request.message, OrderMessage):
+            desk = desk_with(own, known)
     except KeysError as error:
         # Whoever is on this computer must hear it all the same: it may be a stop.
         transport, brings = observer(), None
         failed = {place: error for place, address in places.items() if not address.startswith(UNIX)}
     asked = {place: address for place, address in places.items() if place not in failed}
     with asyncio.Runner() as runner:
-        asking = runner.run(_begun(transport, asked, request, brings, desk))
+        asking = runner.run(_in_loop(lambda: _AskingAll(transport, asked, request, brings, desk)))
         answers = failed | runner.run(asking.believed())
         yield {place: answers[place] for place in places if not place.user}
         answers |= runner.run(asking.others())
         yield {place: answers[place] for place in places if place.user}
-    if own is not None and desk is None:
-        _remember(own, {place.host: answer for place, answer in answers.items() if not place.user})
+    if known is not None:
+        _remember(known, answers)
     for bug in asking.bugs:
         raise bug
 
 
-def desk_with(keys: Keys) -> Desk:
+def desk_with(keys: Keys, known: KnownHosts) -> Desk:
     """What orders are given with as datagrams. Raises KeysError for keys that cannot be used."""
     # Most commands give no order, and cryptography is large.
     from lfield.operator.orders.desk import Desk
 
-    return Desk(keys, KnownHosts.read())
+    return Desk(keys, known)
 
 
-def _remember(keys: Keys, answers: Answers[T]) -> None:
+def _remember(known: KnownHosts, answers: Mapping[Place, T | LfieldError]) -> None:
     """Keep the epochs that hosts have told, so that the next stop needs one round trip."""
-    known, team = KnownHosts.read(), team_of(keys.authority)
-    for host, answer in answers.items():
-        if isinstance(answer, Status):
-            known.learn(team, host, epochs=answer.epochs)
+    for place, answer in answers.items():
+        if isinstance(answer, Status | EmergencyStopped) and not place.user:
+            known.learn(place.host, epochs=answer.epochs)
     known.save()
 
 
@@ -192,8 +193,12 @@ def tell_silent(hosts: Mapping[str, LfieldError], meaning: str = "") -> None:
         print(in_one_line(f"{host}: {meaning}{why}"), file=sys.stderr)
 
 
-def observer(keys: Keys | None = None, connect_timeout: float = 2.0) -> TcpTransport:
+def observer(
+    keys: Keys | None = None, known: KnownHosts | None = None, connect_timeout: float = 2.0
+) -> TcpTransport:
     """What links to hosts are made with; `connect_timeout` in seconds. Over a network it takes keys.
+
+    `known` learns the certificates of hosts.
 
     Raises KeysError for keys that cannot be used.
     """
@@ -202,7 +207,8 @@ def observer(keys: Keys | None = None, connect_timeout: float = 2.0) -> TcpTrans
     # Most commands ask on this computer, and TLS takes its time to load.
     from lfield.net.tls import Tls
 
-    return TcpTransport(_MAX_BLOCK, Tls(keys), connect_timeout=connect_timeout)
+    tls = Tls(keys, known.seen) if known is not None else Tls(keys)
+    return TcpTransport(_MAX_BLOCK, tls, connect_timeout=connect_timeout)
 
 
 def own_keys(addresses: Iterable[str], named: Path | None) -> Keys | None:
@@ -241,23 +247,15 @@ async def ask_all(
     passed to `on_answer` when it comes. Those of other users' runs have no more time all together than one
     host has. A bug is raised as by `asked_in_turn`.
     """
-    asking = await _begun(transport, addresses, request, brings, desk, standing, on_answer)
+    asking = _AskingAll(transport, addresses, request, brings, desk, standing, on_answer)
     answers = await asking.believed() | await asking.others()
     for bug in asking.bugs:
         raise bug
     return {key: answers[key] for key in addresses}
 
 
-async def _begun(
-    transport: Transport,
-    addresses: Mapping[K, str],
-    request: Request[T],
-    brings: Brought | None,
-    desk: Desk | None = None,
-    standing: Standing | None = None,
-    on_answer: Callable[[K, T | LfieldError], None] = lambda key, answer: None,
-) -> _AskingAll[K, T]:
-    return _AskingAll(transport, addresses, request, brings, desk, standing, on_answer)
+async def _in_loop(make: Callable[[], _AskingAll[K, T]]) -> _AskingAll[K, T]:
+    return make()
 
 
 class _AskingAll(Generic[K, T]):
@@ -269,9 +267,9 @@ class _AskingAll(Generic[K, T]):
         addresses: Mapping[K, str],
         request: Request[T],
         brings: Brought | None,
-        desk: Desk | None,
-        standing: Standing | None,
-        on_answer: Callable[[K, T | LfieldError], None],
+        desk: Desk | None = None,
+        standing: Standing | None = None,
+        on_answer: Callable[[K, T | LfieldError], None] = lambda key, answer: None,
     ) -> None:
         self._transport, self._addresses = transport, addresses
         self._request, self._brings = request, brings

@@ -11,7 +11,7 @@ from lfield.errors import KeysError
 from lfield.operator.observing import OrderMessage
 from lfield.operator.orders.asking import Asking
 from lfield.operator.orders.datagrams import Datagrams
-from lfield.operator.orders.known_hosts import KnownHosts, team_of
+from lfield.operator.orders.known_hosts import KnownHosts
 from lfield.operator.orders.post import Heard, Post, Sockets
 from lfield.wire.observing import EmergencyStop
 from lfield.wire.orders import HOLDS, Epochs
@@ -21,10 +21,9 @@ class Desk:
     """Gives orders as datagrams with the keys of a person. Raises KeysError for keys that cannot be used."""
 
     def __init__(self, keys: Keys, known: KnownHosts, open_post: Callable[[Heard], Post] = Sockets) -> None:
-        self._known, self._open_post = known, open_post
+        self.known, self._open_post = known, open_post
         self._signer = Signer(keys)
-        self.certificates = Certificates(keys.authority)
-        self._team = team_of(keys.authority)
+        self._certificates = Certificates(keys.authority)
 
     def give(self, message: OrderMessage, addresses: Mapping[str, str]) -> Datagrams:
         """Begin to give an order to the hosts at these addresses; the caller closes it with `taken`.
@@ -32,7 +31,7 @@ class Desk:
         An order to end a stop or a pause names no state that was known before: a host tells its own first, as
         in the greeting of a connection.
         """
-        found = {host: self._known.of(self._team, host) for host in addresses}
+        found = {host: self.known.of(host) for host in addresses}
         is_hold = message.kind in HOLDS
         asking = Asking(
             message.kind,
@@ -40,7 +39,7 @@ class Desk:
             message.reason if isinstance(message, EmergencyStop) else "",
             {host: known.epochs if is_hold else Epochs() for host, known in found.items()},
             self._signer,
-            self.certificates,
+            self._certificates,
             {host: known.trip for host, known in found.items() if known.trip is not None},
             {host: self._learned(host, known.certificate) for host, known in found.items()},
         )
@@ -52,8 +51,8 @@ class Desk:
         """The certificate of a host that was learned by a connection, or kept."""
         if certificate:
             with suppress(KeysError):
-                self.certificates.learn(certificate)
-        return self.certificates.of_host(host)
+                self._certificates.learn(certificate)
+        return self._certificates.of_host(host)
 
     def taken(self, given: Datagrams) -> None:
         """Close what `give` has begun, and keep what was learned of the hosts."""
@@ -62,10 +61,10 @@ class Desk:
         for host, epochs in asking.epochs.items():
             certificate = asking.certificates.get(host, b"")
             trip = asking.trips.get(host)
-            self._known.learn(self._team, host, epochs=epochs, trip=trip, certificate=certificate)
-        self._known.save()
+            self.known.learn(host, epochs=epochs, trip=trip, certificate=certificate)
+        self.known.save()
 
     def learn(self, host: str, epochs: Epochs) -> None:
         """A host has told its epochs over a connection."""
-        self._known.learn(self._team, host, epochs=epochs)
-        self._known.save()
+        self.known.learn(host, epochs=epochs)
+        self.known.save()

@@ -18,6 +18,7 @@ import msgspec
 from msgspec import Meta, Struct
 from msgspec.structs import replace
 
+from lfield.authority.identity import Identity
 from lfield.errors import NoHome, OutputFileError
 from lfield.text.own_folders import cache_folder
 from lfield.text.private import read_private, write_private
@@ -59,31 +60,27 @@ _decoder = msgspec.msgpack.Decoder(_File)
 _Hosts = OrderedDict[tuple[bytes, str], KnownHost]
 
 
-def team_of(authority: bytes) -> bytes:
-    """What the team of an authority is known by; `authority` is its certificate in PEM."""
-    return hashlib.sha256(authority).digest()[:16]
-
-
 class KnownHosts:
-    """The hosts of all teams of this user, the one that was heard last at the end."""
+    """The hosts of one team. `authority` is the certificate of the team's authority in PEM."""
 
-    def __init__(self, hosts: _Hosts | None = None) -> None:
+    def __init__(self, authority: bytes, hosts: _Hosts | None = None) -> None:
+        self._team = hashlib.sha256(authority).digest()[:16]
+        #: Those of all teams, the one that was heard last at the end.
         self._hosts: _Hosts = hosts if hosts is not None else OrderedDict()
         #: What was learned since it was read or saved.
         self._news: dict[tuple[bytes, str], None] = {}
 
     @classmethod
-    def read(cls) -> KnownHosts:
+    def read(cls, authority: bytes) -> KnownHosts:
         """Those of the cache file; none where it cannot be read."""
-        return cls(_read())
+        return cls(authority, _read())
 
-    def of(self, team: bytes, host: str) -> KnownHost:
-        """What is known of a host of a team."""
-        return self._hosts.get((team, host), KnownHost())
+    def of(self, host: str) -> KnownHost:
+        """What is known of a host."""
+        return self._hosts.get((self._team, host), KnownHost())
 
     def learn(
         self,
-        team: bytes,
         host: str,
         *,
         epochs: Epochs | None = None,
@@ -91,7 +88,7 @@ class KnownHosts:
         certificate: bytes = b"",
     ) -> None:
         """Something was heard of a host. What is not given stays as it was."""
-        known = before = self.of(team, host)
+        known = before = self.of(host)
         if epochs is not None and epochs != Epochs():
             known = replace(known, epochs=epochs)
         if trip is not None and 0.0 < trip <= 3600.0:
@@ -99,8 +96,13 @@ class KnownHosts:
         if certificate:
             known = replace(known, certificate=certificate)
         if known != before:
-            _put(self._hosts, (team, host), known)
-            self._news[team, host] = None
+            _put(self._hosts, (self._team, host), known)
+            self._news[self._team, host] = None
+
+    def seen(self, certificate: bytes, who: Identity) -> None:
+        """A handshake has verified a certificate in DER."""
+        if who.kind == "host":
+            self.learn(who.name, certificate=certificate)
 
     def save(self) -> None:
         """Write what was learned into the cache file, beside what other commands have written meanwhile."""

@@ -20,6 +20,7 @@ from lfield.mission.mission import Mission
 from lfield.mission.team import Team
 from lfield.operator.addressed import Party
 from lfield.operator.ask import brought, desk_with, observer, own_keys
+from lfield.operator.orders.known_hosts import KnownHosts
 from lfield.operator.query import Asked, read_asked
 from lfield.operator.sight.actions import Actions, Order
 from lfield.operator.sight.following.beside import beside
@@ -120,7 +121,8 @@ async def watched(
     """
     clock = SystemClock()
     own = own_keys(party.addresses.values(), keys)
-    transport, brings = observer(own), brought(own)
+    desk = desk_with(own, KnownHosts.read(own.authority)) if own is not None else None
+    transport, brings = observer(own, desk.known if desk is not None else None), brought(own)
     reach = Reach(party, look)
     mission = await asyncio.to_thread(read_mission, path)
     shown = Watched(roll_of(path.stem, team, mission), clock)
@@ -129,7 +131,6 @@ async def watched(
     def asked() -> Asked:
         return read_asked(path, team)
 
-    desk = desk_with(own) if own is not None else None
     follower = Follower(
         transport,
         reach.hosts,
