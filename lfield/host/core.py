@@ -61,8 +61,8 @@ class HostCore:
     """One host of a mission, without the world around it.
 
     `incarnation` tells this life from the next; `unreachable_after` is in seconds. `memory` is the identity
-    of the host's journal, 0 without one, `pages` what that has kept, and `times` when, in Unix time. `draw`
-    gives random bytes that nobody can predict.
+    of the host's journal, 0 without one, `pages` what that has kept, and `times` when, in Unix time.
+    `draw` gives random bytes that nobody can predict, so many.
     """
 
     def __init__(
@@ -86,17 +86,14 @@ class HostCore:
         self.here = self.team.number(name)
         self._clock, self._memory, self._reserves = clock, memory, mission.program.has_reserves
         self._effects: list[Effect] = []
-        #: What is told of all that happens here.
         self.teller = teller = teller or Teller(clock)
-        #: What the machine asks this host.
         self.world = HostWorld(self.team, self._out, self._reach, teller)
         everybody, fenced = self.team.members, mission.fenced
         self.machine = machine = Machine(
             mission.program, everybody, self.here, incarnation, self.world, clock, dice, fenced, engines
         )
         self.programs, machine.attached.rules = Programs(machine, clock.monotonic), mission.calls
-        #: Which orders to stop and to pause are executed.
-        self.orders = Executed(draw or dice.randbytes, orders_in(pages := tuple(pages)))
+        self.orders = Executed(draw or dice.randbytes, orders_in(pages))
         own = self._hello([])
         self._hops = hops = Hops(teller, machine, name, self.team)
         self.coordinators = team = Coordinators(
@@ -116,9 +113,9 @@ class HostCore:
         self._policies = Policies(mission.devices_of(name))
         #: The instructions to devices that are under way.
         self.commands = Commands(machine, nearby, leases, self._policies, clock, self._out, teller)
-        offers = Offers(self.directory, mission)
         absent = Absent(nearby, self.hearsay, clock, unreachable_after, self.mobility, self._out)
         machine.attached.signs = SignsOfLife(absent, self.team.hosts)
+        offers = Offers(self.directory, mission)
         self.world.join(team, leases, self._begun, self.reserving, self.commands, offers, absent)
         #: When the coordinators of this host begin, and what a new start of them waits for.
         self.startup = startup = Beginning(
@@ -280,15 +277,14 @@ class HostCore:
         self._effects += [mobile.Send(host, self.coordinators.room) for host in self.hearsay.links]
 
     def pause(self, *, on: bool, order: bytes = b"") -> None:
-        """A person pauses the mission on this host, or lets it go on; `order` is the id of that order."""
+        """A person pauses the mission on this host, or lets it go on."""
         words.pause(self.coordinators, self.machine, self._clock.monotonic(), on=on, order=order)
         self.reserving.postpone()
         self._tell_room()
         self.startup.look()
 
     def stop(self, reason: str, order: bytes = b"") -> None:
-        """A person has pressed the emergency stop, for that reason, or has lifted it (''); `order` is the id
-        of that order, b"" for a lock-out."""
+        """Somebody has pressed the emergency stop, for that reason, or has lifted it ('')."""
         words.stop(self.coordinators, reason, order)
 
     def kept(self, number: int) -> None:

@@ -9,20 +9,14 @@ from __future__ import annotations
 import asyncio
 import errno
 import os
-import random
-import secrets
 import traceback
 from collections import deque
 from collections.abc import Callable, Collection, Iterable
 from contextlib import suppress
-from dataclasses import dataclass, field
 from functools import partial
 from mmap import mmap
-from pathlib import Path
 from typing import Any
 
-from lfield.authority.admission import Admission
-from lfield.clock import Clock, SystemClock
 from lfield.devices.guards import Guards
 from lfield.devices.keeper import STOPPING
 from lfield.devices.measuring import insist
@@ -35,10 +29,9 @@ from lfield.host.logbook import Logbook
 from lfield.host.scribe import Scribe
 from lfield.host.sight.teller import Teller
 from lfield.host.status import status_of
-from lfield.host.stopping.shell import OrderKeys, order_datagrams
-from lfield.host.surroundings import Surroundings
+from lfield.host.stopping.shell import DatagramShell, order_datagrams
+from lfield.host.surroundings import Options, Surroundings
 from lfield.host.visitors import Visitors
-from lfield.journal.journal import Journal
 from lfield.manifest import DeviceValue
 from lfield.mission.mission import Mission
 from lfield.mobility.core import Mobility
@@ -60,31 +53,6 @@ CENSUS = 1.5
 RESERVE = 4 << 20
 #: What a computer is out of when it refuses a socket.
 SCARCE = (errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM)
-
-
-@dataclass(slots=True)
-class Options:
-    """How a host is run. `listen` is the address to listen on, `door` the one for observers of this computer.
-
-    `journal` keeps what this host has of coordinators; without one that is gone with its process, and all
-    hosts are heard before any is started. `first_start`: somebody says that there was no start before.
-    `draw` gives so many random bytes. With `orders` it takes orders to stop and to pause as datagrams.
-    `engine` is one of `lfield.vm.wasm.choice.CHOICES`. `admission` says who may have links with it. Times are
-    in seconds.
-    """
-
-    listen: str
-    dump: Path | None = None
-    unreachable_after: float = 10.0
-    door: str = ""
-    clock: Clock = field(default_factory=SystemClock)
-    dice: random.Random = field(default_factory=random.Random)
-    journal: Journal | None = None
-    first_start: bool = False
-    engine: str = "reference"
-    admission: Admission = field(default_factory=Admission)
-    draw: Callable[[int], bytes] = secrets.token_bytes
-    orders: OrderKeys | None = None
 
 
 class Host:
@@ -133,15 +101,7 @@ class Host:
         self._visitors = Visitors(
             self.core, self.guards, self.clock, self._enter, self.status, self.note, self.scribe.all_kept
         )
-        self._datagrams = order_datagrams(
-            options.orders,
-            transport,
-            options.admission,
-            self.core,
-            self._visitors.stops,
-            self.peers,
-            self.fail,
-        )
+        self._datagrams = self._order_datagrams(transport)
         self.changed = asyncio.Event()
         self.broken: dict[str, bool] = {}  # by agent that has died here: whether of a bug of lfield
         #: Set when the host has failed: `failure` says by what.
@@ -149,16 +109,20 @@ class Host:
         self.failure: HostFailure | None = None
         #: Called first when it fails: whatever is wrong must not keep it from ending.
         self.on_failure: Callable[[], None] = lambda: None
-        self.address = ""
         #: What other hosts have last said of themselves, for whoever asks them.
         self.statuses: dict[str, Status] = {}
         self._loop = asyncio.get_running_loop()
         self._timer: asyncio.TimerHandle | asyncio.Handle | None = None
-        self._due = 0.0
+        self.address, self._due = "", 0.0
         self._events: deque[Callable[[], None]] = deque()
         self._reserve = mmap(-1, RESERVE)
         self._entered = self._stopped = False
         options.admission.serve(self.flies, mission.access.barred, self.note)
+
+    def _order_datagrams(self, transport: Transport) -> DatagramShell | None:
+        keys, admission = self.options.orders, self.options.admission
+        stops = self._visitors.stops
+        return order_datagrams(keys, transport, admission, self.core, stops, self.peers, self.fail)
 
     @property
     def machine(self) -> Machine:

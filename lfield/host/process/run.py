@@ -18,13 +18,14 @@ from lfield.authority.admission import Admission
 from lfield.authority.orders.signing import Certificates, Signer
 from lfield.clock import SystemClock
 from lfield.driver.binding import longest_rest
-from lfield.host.host import Host, Options
+from lfield.host.host import Host
 from lfield.host.logbook import Logbook
 from lfield.host.process.leash import Leash
 from lfield.host.process.proving import Proof, admitted, insist_on_keys, insist_on_signature
 from lfield.host.process.stop_words import StopWords, hear_signals
 from lfield.host.process.until_done import until_done
 from lfield.host.stopping.shell import OrderKeys
+from lfield.host.surroundings import Options
 from lfield.journal.journal import Journal
 from lfield.mission.mission import Mission
 from lfield.mobility.fates import Fate
