@@ -111,7 +111,9 @@ class HostCore:
         #: The instructions to devices that are under way.
         self.commands = Commands(machine, nearby, leases, self._policies, clock, self._out, teller)
         offers = Offers(self.directory, mission)
-        absent = Absent(nearby, self.hearsay, clock, unreachable_after, self.mobility, self._out)
+        self._absent = absent = Absent(
+            nearby, self.hearsay, clock, unreachable_after, self.mobility, self._out
+        )
         machine.attached.signs = SignsOfLife(absent, self.team.hosts)
         self.world.join(team, leases, self._begun, self.reserving, self.commands, offers, absent)
         #: When the coordinators of this host begin, and what a new start of them waits for.
@@ -255,7 +257,9 @@ class HostCore:
             return self._inits.waits(agent)
         if self.leases.is_waiting(agent):
             return "waits for a majority"
-        return self.reserving.waits(agent) or self.coordinators.waits(agent)
+        return self.reserving.waits(agent) or words.waits(
+            self.coordinators, self.machine, self.team.hosts, agent
+        )
 
     def not_kept(self, why: str) -> None:
         """The disk takes nothing: what waits for it goes on waiting, and is tried again."""
@@ -359,7 +363,7 @@ class HostCore:
     def arrived(self, host: str, header: Transfer, block: memoryview) -> None:
         """A coordinator came: it runs before its sender gets an answer."""
         self._hops.arrives(host, header)
-        self.coordinators.arrived(host, header, block)
+        self.coordinators.arrived(host, header, block, self._absent.transit(host))
 
     def too_large(self, host: str, header: Transfer, size: int) -> None:
         """A coordinator came whose block was not even read."""

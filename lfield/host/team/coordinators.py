@@ -80,7 +80,9 @@ class Coordinators:
         #: Answers to arrivals, until those that arrived have run.
         self._answers: list[tuple[str, mobile.Send]] = []
         #: Coordinators that came before the resources here were started; None once they are.
-        self._early: dict[tuple[str, int], tuple[str, Transfer, memoryview]] | None = {}
+        self._early: dict[tuple[str, int], tuple[str, Transfer, memoryview, float]] | None = {}
+        #: For how many seconds the one that is taken in now was on its way, or waited here for that.
+        self._transit = 0.0
         #: The block that was packed just now, to leave at once if there is a link.
         self._packed: memoryview | None = None
         #: Where each coordinator was last sent.
@@ -148,8 +150,8 @@ class Coordinators:
         if self._mission.release.by:
             self.keep(BundlePage(self._mission.release.digest))
         early, self._early = self._early or {}, None
-        for host, header, block in early.values():
-            self.arrived(host, header, block)
+        for host, header, block, left in early.values():
+            self.arrived(host, header, block, self._clock.monotonic() - left)
 
     def wake(self) -> None:
         """Go on with the coordinators that the journal has."""
@@ -191,18 +193,20 @@ class Coordinators:
         if self._mission.release.by and self.recovery.over(self._members, known):
             self.keep(BundlePage(b""))
 
-    def arrived(self, host: str, header: Transfer, block: memoryview) -> None:
-        """A coordinator came: it runs before its sender gets an answer."""
+    def arrived(self, host: str, header: Transfer, block: memoryview, transit: float = 0.0) -> None:
+        """A coordinator came, after so many seconds: it runs before its sender gets an answer."""
         if self._early is not None:
             if header.agent in self._members:
-                self._early[header.agent, header.generation] = host, header, block
+                left = self._clock.monotonic() - transit
+                self._early[header.agent, header.generation] = host, header, block, left
             return
         self._sent_to.pop(header.agent, None)
+        self._transit = transit
         self.carry_out(self.mobility.arrive(host, header, block))
 
     def greeting(self) -> list[Known]:
         """What others are told of all coordinators when they are greeted."""
-        waiting = (header for _, header, _ in (self._early or {}).values())
+        waiting = (header for _, header, *_ in (self._early or {}).values())
         return self.keeping.on_record(self.mobility.greeting(waiting), self._own.host)
 
     def recover(self, agent: str, generation: int) -> bool:
@@ -242,15 +246,6 @@ class Coordinators:
         self.carry_out(self.mobility.save(agent.id, self._machine.pack(agent)))
         return False
 
-    def waits(self, agent: Agent) -> str:
-        """What a frozen coordinator waits for, in a word or two: it is only kept, or it leaves."""
-        if self.trouble and self.keeping.holds_back(agent.id):
-            return "waits for its disk"
-        if not self.is_leaving(agent):
-            return "being kept"
-        called = self._machine.calling(agent) if self._machine.fetches(agent) else None
-        return f"fetches from {self._mission.team.hosts[called[0].host]}" if called else "leaving"
-
     def is_leaving(self, agent: Agent) -> bool:
         """Whether a frozen coordinator wants to another host, or may be there."""
         return self.mobility.leaves(agent.id, agent.generation)
@@ -287,7 +282,8 @@ class Coordinators:
         if member is None:
             return mobile.Refusal(UNREACHABLE, f"{self._own.host} knows no coordinator {header.agent}")
         try:
-            self._machine.admit(member, memoryview(block), self._mission.bindings.limits(member.id))
+            limits = self._mission.bindings.limits(member.id)
+            self._machine.admit(member, memoryview(block), limits, self._transit)
         except BlockError as error:
             self._out(Complain(f"refused {header.agent}: {error}"))
             return mobile.Refusal(UNREACHABLE, f"{self._own.host} refused the coordinator: {error}")
