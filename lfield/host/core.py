@@ -190,7 +190,6 @@ class HostCore:
         if self._reserves:
             self.reserving.look()
         pause = None if self.coordinators.halted or self.coordinators.paused else self.programs.run()
-        self.coordinators.answer()
         self._inits.look(now)
         # A portal that has ended may be what somebody waits for who wants to reserve its resource.
         if self._reserves and self.reserving.look():
