@@ -23,7 +23,7 @@ from lfield.wire.coordinators import Transfer
 from lfield.wire.messages import Heard, Hello, Message, Ping, Refuse, Room, SignOfLife
 
 #: Frames of each kind, sent again and again.
-BLOCK, OVER = bytes(256 << 10), bytes(64 << 20)
+BLOCK, OVER = bytes(256 << 10), bytes(4 << 20)
 KINDS = {
     "pings": encode(Ping(1)) * 600,
     "records": encode(Ping(1)) * 600,
