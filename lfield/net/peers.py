@@ -77,7 +77,8 @@ class Peers:
         self._links: dict[str, Session] = {}
         self.watch = Watch(hosts, here, self.now)
         self._tasks, self._listeners = list[asyncio.Task[None]](), list[Listener]()
-        self.on_arrival, self.on_oversize = owner.arrived, owner.too_large
+        self.on_arrival = lambda *transfer: owner.arrived(*transfer)
+        self.on_oversize = lambda *transfer: owner.too_large(*transfer)
         self._complaints, self.refusals = Complaints(owner.note, self.now), Refusals(hosts)
         self._ungreeted: Guests[Session] = Guests(MOST_UNGREETED, dice, lambda one: one.link.is_answered)
         self._observers: Guests[Session] = Guests(MOST_OBSERVERS, dice)
@@ -98,11 +99,6 @@ class Peers:
         """When something last came from a host, on the monotonic clock; None when nothing ever did."""
         session = self._links.get(host)
         return session.heard if session else self._last_heard.get(host)
-
-    @property
-    def visiting(self) -> set[Link]:
-        """The links of observers, and those that have not greeted yet."""
-        return {session.link for session in (*self._ungreeted, *self._observers)}
 
     async def open(self, address: str) -> str:
         """Listen, begin to call the others; returns the address with its real port. Raises AddressError.

@@ -10,8 +10,7 @@ from lfield.authority.identity import STRANGER, Identity
 from lfield.errors import AddressError, LfieldError, OverBudget, WireError
 from lfield.net.door import caller_at, host_at
 from lfield.net.framed import FramedLink
-from lfield.net.health.tcp_options import LEAST_MARGIN, margin, set_margin, set_options
-from lfield.net.health.traffic import counts
+from lfield.net.health.tcp_options import LEAST_MARGIN, counts, margin, set_margin, set_options
 from lfield.net.transport import join_address
 from lfield.net.waiting.handshakes import source_of
 

@@ -72,8 +72,8 @@ def test_a_stop_gets_through_the_floods_of_all_members_at_once():
             caller.say(PINGS)
         anna = inn.caller("anna")
         before = inn.work
-        anna.say(encode(Hello("observer", "observer", 0)) + encode(EmergencyStop("now")))
-        assert anna.hears.heard[-1] == EmergencyStop("now")
+        anna.say(encode(Hello("observer", "observer", 0)) + encode(EmergencyStop(bytes(16), "now")))
+        assert anna.hears.heard[-1] == EmergencyStop(bytes(16), "now")
         assert inn.work - before <= COST
 
     run_tls(story)

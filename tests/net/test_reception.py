@@ -24,7 +24,7 @@ from lfield.wire.framing import frame_header
 from lfield.wire.messages import Hello, Ping, Role
 from lfield.wire.observing import EmergencyStop, StatusRequest
 
-HELLO, STOP = Hello("observer", "observer", 0), EmergencyStop("now")
+HELLO, STOP = Hello("observer", "observer", 0), EmergencyStop(bytes(16), "now")
 FLOOD = encode(StatusRequest()) * 20_000
 #: As much as the loops read at once.
 READ = 256 << 10
@@ -255,7 +255,7 @@ def test_nobody_who_asks_now_and_then_waits(at_inn):
 def test_a_long_message_comes_whole(at_inn):
     async def story(inn):
         anna = inn.caller("anna")
-        stop = EmergencyStop("x" * MAX_TEXT)
+        stop = EmergencyStop(bytes(16), "x" * MAX_TEXT)
         anna.say(encode(HELLO) + encode(stop) + FLOOD)
         await asyncio.sleep(ROUND * 20)
         assert anna.hears.heard[:3] == [HELLO, stop, StatusRequest()]

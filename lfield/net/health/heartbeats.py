@@ -21,6 +21,8 @@ MOST_OPEN = 16
 #: The weights of a new sample in the mean and in the variation, and how many variations the bound adds to the
 #: mean (RFC 6298, section 2).
 ALPHA, BETA, VARIATIONS = 1 / 8, 1 / 4, 4.0
+#: What is assumed before the first sample, in seconds (RFC 6298, section 2.1).
+FIRST = 1.0
 #: The latest answer counts for half after so many seconds.
 HALF_LIFE = 300.0
 
@@ -44,7 +46,7 @@ class RoundTrip:
         if sample < 0.0:
             return
         self.last = sample
-        if sample >= self.longest(now):
+        if self.mean is None or sample >= self.longest(now):
             self._longest, self._at = sample, now
         if self.mean is None:
             self.mean, self.variation = sample, sample / 2
@@ -58,9 +60,14 @@ class RoundTrip:
         return None if self.mean is None else self.mean + VARIATIONS * self.variation
 
     def longest(self, now: float) -> float:
-        """The longest sample, which counts for half after HALF_LIFE; not less than `bound`."""
+        """The longest sample, which counts for half after HALF_LIFE; not less than `bound`.
+
+        Before the first sample it is FIRST.
+        """
+        if self.bound is None:
+            return FIRST
         kept: float = self._longest * 2.0 ** ((self._at - now) / HALF_LIFE)
-        return max(kept, self.bound or 0.0)
+        return max(kept, self.bound)
 
 
 class Heartbeats:

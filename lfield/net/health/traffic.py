@@ -1,17 +1,11 @@
-"""What went over one link, and what share of it was lost, from the counters of the kernel (Linux)."""
+"""What went over one link, and what share of it was lost, from the counters of the kernel. Pure."""
 
 from __future__ import annotations
 
-import socket
-import struct
+import math
 from collections import deque
 from typing import NamedTuple
 
-from lfield.net.health.tcp_options import Socket
-
-#: The part of `struct tcp_info` up to `tcpi_dsack_dups`, and where its fields are.
-_INFO_SIZE = 220
-_TOTAL_RETRANS, _BYTES_RECEIVED, _DATA_SEGS_OUT, _BYTES_SENT, _DSACK_DUPS = 100, 128, 156, 200, 216
 #: Loss is of the last so many seconds, and counters are kept so many seconds apart.
 PERIOD, APART = 60.0, 5.0
 #: A share of fewer segments than this says nothing.
@@ -31,21 +25,6 @@ class Counts(NamedTuple):
     repeated: int
 
 
-def counts(made: Socket) -> Counts | None:
-    """What the kernel has counted; None where it does not tell all of it (before Linux 4.19)."""
-    try:
-        info = made.getsockopt(socket.IPPROTO_TCP, socket.TCP_INFO, _INFO_SIZE)
-    except OSError:
-        return None
-    if len(info) < _INFO_SIZE:
-        return None
-    (received,) = struct.unpack_from("=Q", info, _BYTES_RECEIVED)
-    (sent,) = struct.unpack_from("=Q", info, _BYTES_SENT)
-    repeated, needless = (struct.unpack_from("=I", info, at)[0] for at in (_TOTAL_RETRANS, _DSACK_DUPS))
-    (segments,) = struct.unpack_from("=I", info, _DATA_SEGS_OUT)
-    return Counts(sent, received, segments, max(0, repeated - needless))
-
-
 class Traffic:
     """The counters of one link as they were read; times are of a monotonic clock, in seconds."""
 
@@ -53,17 +32,21 @@ class Traffic:
         #: The last that was read; None where the kernel does not tell.
         self.counts: Counts | None = None
         self._kept: deque[tuple[float, Counts]] = deque()
+        self._due = -math.inf
 
     def is_due(self, now: float) -> bool:
         """Whether the counters are to be read."""
-        return not self._kept or now - self._kept[-1][0] >= APART
+        return now >= self._due
 
     def read(self, counts: Counts | None, now: float) -> None:
         """These are the counters now."""
+        is_due = self.is_due(now)
+        if is_due:
+            self._due = now + APART
         if counts is None:
             return
         self.counts = counts
-        if self.is_due(now):
+        if is_due:
             self._kept.append((now, counts))
         while len(self._kept) > 1 and self._kept[1][0] <= now - PERIOD:
             self._kept.popleft()

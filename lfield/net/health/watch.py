@@ -4,22 +4,32 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from typing import TYPE_CHECKING, Literal, NamedTuple
+from typing import Literal, NamedTuple, Protocol
 
 from lfield.errors import AddressError
 from lfield.net.health.heartbeats import Heartbeats
-from lfield.net.health.traffic import Traffic
+from lfield.net.health.traffic import Counts, Traffic
 from lfield.wire.messages import Ping, Pong
-
-if TYPE_CHECKING:
-    from lfield.net.transport import Link
 
 #: How silent a link is: not, or so that another connection is tried beside it, or so that it is given up.
 Silence = Literal["", "suspected", "lost"]
 
 
+class Link(Protocol):
+    """As much of a `lfield.net.transport.Link` as is needed here."""
+
+    def send(self, message: Ping | Pong, /) -> None:
+        """Queue a message. Raises AddressError on a closed link."""
+
+    def expect(self, round_trip: float, /) -> None:
+        """Answers take so many seconds."""
+
+    def counts(self) -> Counts | None:
+        """What the kernel has counted of its connection."""
+
+
 class Figures(NamedTuple):
-    """What is measured of one link: seconds, a share from 0 to 1, and bytes with what TLS adds.
+    """What is measured of one link, see `LinkStatus`: seconds, a share from 0 to 1, and bytes.
 
     None is what is not measured yet, or what the kernel does not tell.
     """
@@ -37,6 +47,8 @@ class Watch:
         self._now = now
         self._beats = {host: Heartbeats(first=here < number) for number, host in enumerate(hosts)}
         self._links: dict[str, tuple[Link, Traffic]] = {}
+        #: The figures of each link as they were when its counters were read last, every few seconds.
+        self.latest: dict[str, Figures] = {}
 
     def linked(self, host: str, link: Link) -> None:
         """A link with a host is made, in place of one before."""
@@ -46,13 +58,14 @@ class Watch:
     def unlinked(self, host: str) -> None:
         """There is none any more."""
         del self._links[host]
+        self.latest.pop(host, None)
 
     def look(self, host: str, silent: float) -> Silence:
         """Look at a link that has been `silent` for so many seconds, and send a heartbeat if one is due."""
         beats, now = self._beats[host], self._now()
         link, traffic = self._links[host]
         if traffic.is_due(now):
-            traffic.read(link.counts(), now)
+            self.latest[host] = self.figures(host)
         if silent > beats.lost_after(now):
             return "lost"
         if beats.is_due(now, silent):

@@ -5,8 +5,8 @@ import socket
 import pytest
 
 from lfield.net.health import tcp_options
-from lfield.net.health.tcp_options import LEAST_MARGIN, MOST_MARGIN, margin, set_options
-from lfield.net.health.traffic import APART, FEWEST, PERIOD, Counts, Traffic, counts
+from lfield.net.health.tcp_options import LEAST_MARGIN, MOST_MARGIN, counts, margin, set_options
+from lfield.net.health.traffic import APART, FEWEST, PERIOD, Counts, Traffic
 
 
 def after(*rows: tuple[float, int, int]) -> Traffic:
