@@ -113,7 +113,9 @@ class HostCore:
         self._policies = Policies(mission.devices_of(name))
         #: The instructions to devices that are under way.
         self.commands = Commands(machine, nearby, leases, self._policies, clock, self._out, teller)
-        absent = Absent(nearby, self.hearsay, clock, unreachable_after, self.mobility, self._out)
+        self._absent = absent = Absent(
+            nearby, self.hearsay, clock, unreachable_after, self.mobility, self._out
+        )
         machine.attached.signs = SignsOfLife(absent, self.team.hosts)
         offers = Offers(self.directory, mission)
         self.world.join(team, leases, self._begun, self.reserving, self.commands, offers, absent)
@@ -192,7 +194,6 @@ class HostCore:
         if self._reserves:
             self.reserving.look()
         pause = None if self.coordinators.halted or self.coordinators.paused else self.programs.run()
-        self.coordinators.answer()
         self._inits.look(now)
         # A portal that has ended may be what somebody waits for who wants to reserve its resource.
         if self._reserves and self.reserving.look():
@@ -259,7 +260,9 @@ class HostCore:
             return self._inits.waits(agent)
         if self.leases.is_waiting(agent):
             return "waits for a majority"
-        return self.reserving.waits(agent) or self.coordinators.waits(agent)
+        return self.reserving.waits(agent) or words.waits(
+            self.coordinators, self.machine, self.team.hosts, agent
+        )
 
     def not_kept(self, why: str) -> None:
         """The disk takes nothing: what waits for it goes on waiting, and is tried again."""
@@ -363,7 +366,7 @@ class HostCore:
     def arrived(self, host: str, header: Transfer, block: memoryview) -> None:
         """A coordinator came: it runs before its sender gets an answer."""
         self._hops.arrives(host, header)
-        self.coordinators.arrived(host, header, block)
+        self.coordinators.arrived(host, header, block, self._absent.transit(host))
 
     def too_large(self, host: str, header: Transfer, size: int) -> None:
         """A coordinator came whose block was not even read."""
