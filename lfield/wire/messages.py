@@ -48,7 +48,7 @@ from lfield.wire.reservations import ReservationMessage
 from lfield.wire.watching import WatchMessage
 
 #: The version of everything in this package. Hosts of different versions do not talk.
-PROTOCOL = 8
+PROTOCOL = 9
 
 #: What a peer is: one of the team, or somebody who looks at it (`lfield ps`).
 Role = Literal["host", "observer"]
@@ -193,6 +193,18 @@ class Heard(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, ta
     asked: Annotated[list[SignOfLife], Meta(max_length=4096)]
 
 
+class Relayed(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=22):
+    """A question about a transfer, or its answer, for a host that its sender has no link with.
+
+    Every host passes it on once to all its links. `origin` numbers what its sender has relayed in one life,
+    and `receiver` is the place of a host in the deployment.
+    """
+
+    origin: SignOfLife
+    receiver: Index
+    message: Accepted | Refused | Inquire
+
+
 class Room(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=14):
     """Whether the sender can keep coordinators that come to it: '' if so, else why it can not."""
 
@@ -228,6 +240,7 @@ Control = (
     | StartResponse
     | Report
     | Heard
+    | Relayed
     | Room
     | Revocations
     | QuorumMessage
