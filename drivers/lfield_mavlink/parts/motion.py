@@ -248,7 +248,7 @@ class Motion:
             raise
 
     def _begin_stream(self, trajectory: Trajectory) -> None:
-        self._left_at, self._was_in_guided = None, self._is_in_guided or self._is_fed
+        self._left_at, self._was_in_guided = None, self._is_fed
         self.stream.follow(trajectory)
 
     def _where(self) -> tuple[Vector | None, Vector]:
@@ -263,19 +263,15 @@ class Motion:
         return self._state.armed and stays and not self.monitor.foreign
 
     @property
-    def _is_in_guided(self) -> bool:
-        return self._state.mode == self._vehicle.profile.guided
-
-    @property
     def _is_fed(self) -> bool:
         """Whether PX4 waits for setpoints, also where it has accepted that and has not shown it yet."""
-        return self._vehicle.profile.px4 and (self._is_in_guided or self.guided.is_believed)
+        return self._vehicle.profile.px4 and (self.guided.is_entered or self.guided.is_believed)
 
     def _on_mode(self, _: object) -> None:
         """Note when it leaves OFFBOARD, once it was in it."""
         if self._state.profile is None or self.stream.trajectory is None:
             return
-        if self._is_in_guided:
+        if self.guided.is_entered:
             self._left_at, self._was_in_guided = None, True
         elif self._was_in_guided and self._left_at is None:
             self._left_at = self._vehicle.clock.monotonic()
