@@ -126,8 +126,7 @@ class Motion:
     def brake(self) -> None:
         """Have no motion go on: PX4's copter stops by the setpoints that it needs anyway."""
         place, profile = self._resting_place, self._vehicle.profile
-        stops = self.stream.runs and self._is_fed and profile.by_trajectory and profile.flies
-        if stops and place is not None:
+        if place and self.stream.runs and self._is_fed and profile.by_trajectory and profile.flies:
             self._begin_stream(Stay(place, STAYS_AT))
         else:
             self.stream.stop()
