@@ -158,7 +158,7 @@ class Motion:
             await self._begin("hold", reposition(state, place, None))
         except DeviceError:
             return False
-        if fed:  # It may have missed some of its setpoints.
+        if fed:
             values = profile.mode_command(profile.hold)
             await self.failsafe.did_the_same("hold", dialect.MAV_CMD_DO_SET_MODE, *values)
         self.stream.stop()
