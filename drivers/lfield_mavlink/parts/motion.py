@@ -26,10 +26,8 @@ from lfield_mavlink.setpoints.trajectory import Stay, Target, Trajectory, stoppi
 ON_ITS_WAY, DRIVES = Patience(), Patience(turning=40.0, detour=30.0)
 #: m/s above which it moves, unless it is told a low speed: then the share of that, and what is always noise.
 MOVES, SHARE, NOISE = 0.3, 0.5, 0.05
-#: The seconds after which one that does not move is asked why.
-ASKED_WHY = 2.0
-#: Seconds without its position after which a moving target waits.
-PLACED = 0.5
+#: Seconds after which one that does not move is asked why, and without a position a moving target waits.
+ASKED_WHY, PLACED = 2.0, 0.5
 #: Seconds out of OFFBOARD after which no trajectory is followed: a packet of before may come late.
 LEFT = 0.7
 #: m/s over ground with which a stop is followed.
@@ -99,7 +97,6 @@ class Motion:
         self.monitor.check_begin(what)
         self._vehicle.take_charge()
         self._began, self._stopped = self._vehicle.clock.monotonic(), ""
-        self.hover.end()
         self.speed.begin()
         self.brake()
 
@@ -260,8 +257,7 @@ class Motion:
 
     def _is_followed(self) -> bool:
         """Whether the moving target is still to be sent: not when somebody else has it, or it is off."""
-        now = self._vehicle.clock.monotonic()
-        stays = self._left_at is None or now - self._left_at < LEFT
+        stays = self._left_at is None or self._vehicle.clock.monotonic() - self._left_at < LEFT
         return self._state.armed and stays and not self.monitor.foreign
 
     @property
@@ -335,9 +331,8 @@ class Motion:
     @property
     def moves(self) -> bool:
         """Whether it moves over ground or up and down, as far as it tells."""
-        least = (
-            MOVES if self.speed.of_motion is None else max(min(MOVES, SHARE * self.speed.of_motion), NOISE)
-        )
+        pace = self.speed.of_motion
+        least = MOVES if pace is None else max(min(MOVES, SHARE * pace), NOISE)
         return self._state.speeds is not None and math.hypot(*self._state.speeds) > least
 
     def _is_refused(self, order: Order, progress: Progress, now: float) -> bool:
