@@ -93,11 +93,11 @@ async def in_a_mission(flight):
     await mode_is(flight, "AUTO")
 
 
-async def in_loiter(flight):
-    await flight.call("setMode", "LOITER")
+async def in_a_circle(flight):
+    await flight.call("setMode", "CIRCLE")
 
 
-@pytest.mark.parametrize("flown", [in_a_mission, in_loiter])
+@pytest.mark.parametrize("flown", [in_a_mission, in_a_circle])
 def test_what_the_program_flies_is_landed_in_any_mode(desk, fly, flown):
     async def story(flight):
         await up(flight)

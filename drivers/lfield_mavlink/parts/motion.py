@@ -216,10 +216,9 @@ class Motion:
         await self.speed.fly_at(order.speed if order.command is None else None, self.send)
 
     def check_bounded(self, what: str, mode: str) -> None:
-        """Refuse a mode in which PX4 moves by itself, unless the binding waives that. Raises DeviceError.
+        """Refuse a mode that no failsafe ends when this computer dies, unless the binding waives that.
 
-        One that is the binding's safe state, or leads down, may go on when this computer dies; in the air a
-        hover may not: no failsafe ends it beside another station.
+        The binding's safe state and a landing may continue then; in the air a hover may not. Raises DeviceError.
         """
         profile, binding = self._vehicle.profile, self._vehicle.binding
         bounded = {profile.land, profile.safe(binding.safe_state)}
@@ -227,11 +226,13 @@ class Motion:
             bounded.add(profile.hold)
         if mode in profile.autonomous - bounded:
             self._check_waived(what, f"PX4 flies {mode} by itself")
+        if mode in profile.piloted - bounded and self._state.landed is False:
+            self._check_waived(what, f"the failsafe of ArduCopter leaves {mode} to a pilot")
 
     def _check_waived(self, what: str, why: str) -> None:
         if not self._vehicle.binding.waives(AUTONOMOUS):
             raise self._vehicle.error(
-                f"{what} refused: {why}, and would go on when this computer dies, as long as it hears any "
+                f"{what} refused: {why}, and would go on when this computer dies, also beside another "
                 f"ground station. Use goTo, orbit, hold and land, or accept it by 'waivers: "
                 f"{{{AUTONOMOUS}: REASON}}' in its binding"
             )
