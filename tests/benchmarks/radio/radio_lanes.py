@@ -125,5 +125,25 @@ def outages(lanes: Sequence[Lane], robot: str, seconds: float) -> list[float]:
     return [_after(lane, back)[0] - back for lane, back in pairs]
 
 
+def address_changes(lanes: Sequence[Lane], robot: str, address: str, within: float) -> list[float]:
+    """Give a robot of each lane another address: seconds until something was completed, `within` at most.
+
+    In the end each has its first address again, and something was completed with that.
+    """
+    homes = [lane.radio[robot].address for lane in lanes]
+    moved = [(lane, _move(lane, robot, address)) for lane in lanes]
+    end = time.monotonic() + within
+    watch(lanes, lambda: time.monotonic() > end or all(_after(lane, at) for lane, at in moved))
+    delays = [min([after - at for after in _after(lane, at)[:1]] + [within]) for lane, at in moved]
+    back = [(lane, _move(lane, robot, home)) for lane, home in zip(lanes, homes, strict=True)]
+    watch(lanes, lambda: all(_after(lane, at) for lane, at in back))
+    return delays
+
+
+def _move(lane: Lane, robot: str, address: str) -> float:
+    lane.radio[robot].move(address)
+    return time.monotonic()
+
+
 def _after(lane: Lane, moment: float) -> list[float]:
     return [at for at in lane.times if at > moment]

@@ -13,7 +13,7 @@ from harness.figure import Row
 from harness.processes import Child, ChildError, Processes
 from harness.samples import Tick, sentence
 from harness.words import COUNT
-from radio.radio_lanes import Lane, StopLane, collect, watch
+from radio.radio_lanes import Lane, StopLane, address_changes, collect, watch
 from radio.radio_lanes import outages as outages_of
 from radio.radio_team import DESK, RadioTeam
 
@@ -31,6 +31,8 @@ ORDER = 150
 WARM_UP = 10
 #: The seconds of outages, lanes that have them at a time, and seconds between two of them.
 OUTAGES, LANES_WITH_OUTAGES, BETWEEN = (1.0, 5.0, 15.0, 30.0), 6, 4.0
+#: The address that a robot changes to, and the seconds that what is compared has to continue from there.
+OTHER_ADDRESS, WITHIN = "10.77.0.71", 30.0
 #: Seconds in which bytes at rest are counted.
 AT_REST = 20.0
 #: What is compared with a hop, and with a stop; `fresh` ones connect for every request.
@@ -89,29 +91,43 @@ def _stops(checkout: Checkout, samples: int, cell: str, hosts: int, way: str) ->
 
 
 def outages(checkout: Checkout, samples: int, tick: Tick, cell: str) -> Iterator[Row]:
-    """How soon traffic continues after the path has returned; one outage per round and lane."""
+    """How soon traffic continues after the path has returned, or a robot has another address.
+
+    Every lane has one of each in a round.
+    """
     rounds = max(1, samples // 100)
     starters: dict[str, Starter] = {"lfield": lambda processes, seed: traveller(checkout, processes, seed)}
     starters |= {name: peer(checkout, called, SIZE, pause=0.1) for name, called in PEERS.items()}
-    found: dict[tuple[float, str], list[float]] = {}
+    found: dict[tuple[str, str], list[float]] = {}
     with Processes() as processes:
-        lanes: dict[str, list[Lane]] = {}
+        lanes: list[tuple[str, Lane]] = []
         for name, start in starters.items():
             tick(f"outages, {name}, made ready")
-            lanes[name] = [start(processes, seed) for seed in _seeds(cell, samples, LANES_WITH_OUTAGES)]
-        every = [lane for some in lanes.values() for lane in some]
+            lanes += [(name, start(processes, seed)) for seed in _seeds(cell, samples, LANES_WITH_OUTAGES)]
+        every = [lane for _, lane in lanes]
         collect(every, cell, len(every))
-        for number in range(rounds):
-            for seconds in OUTAGES:
-                tick(f"outages, {seconds:g} s, round {number + 1} of {rounds}")
-                delays = outages_of(every, FAR, seconds)
-                for name, some in lanes.items():
-                    of_name = [delays[every.index(lane)] for lane in some]
-                    found.setdefault((seconds, name), []).extend(of_name)
-                rest(every, BETWEEN)
-    for (seconds, name), delays in found.items():
-        case = f"outage of {seconds:g} s, {cell}" if name == "lfield" else ""
-        yield Row(case, name, samples=delays)
+        for _ in range(rounds):
+            for case, delays in _interruptions(every, tick):
+                for (name, _), delay in zip(lanes, delays, strict=True):
+                    found.setdefault((f"{case}, {cell}", name), []).append(delay)
+    shown = ""
+    for (case, name), delays in found.items():
+        there = [delay for delay in delays if delay < WITHIN]
+        yield Row("" if case == shown else case, name, samples=there)
+        if late := len(delays) - len(there):
+            yield Row("", f"{name}: not within {WITHIN:g} s", COUNT, [late])
+        shown = case
+
+
+def _interruptions(lanes: Sequence[Lane], tick: Tick) -> Iterator[tuple[str, list[float]]]:
+    """One round: what each is called, and the delay of every lane."""
+    for seconds in OUTAGES:
+        tick(case := f"outage of {seconds:g} s")
+        yield case, outages_of(lanes, FAR, seconds)
+        rest(lanes, BETWEEN)
+    tick(case := "another address")
+    yield case, address_changes(lanes, NEAR, OTHER_ADDRESS, WITHIN)
+    rest(lanes, BETWEEN)
 
 
 def rest(lanes: Sequence[Lane], seconds: float) -> None:
