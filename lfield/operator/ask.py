@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import asyncio
 import os
+import secrets
 import sys
 from collections import Counter, defaultdict
-from collections.abc import Hashable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Generic, NamedTuple, TypeVar
@@ -27,13 +28,16 @@ from lfield.wire.observing import (
     EmergencyStopped,
     Forget,
     Forgotten,
+    OrderChallenge,
     Pause,
     Recover,
     Recovered,
     StartResponse,
     Status,
     StatusRequest,
+    named,
 )
+from lfield.wire.orders import HOLDS, ID_SIZE, Epochs
 
 if TYPE_CHECKING:
     from lfield.authority.keys import Keys
@@ -82,12 +86,16 @@ def patiently() -> Request[Status]:
     return Request(StatusRequest(), Status, 8.0)
 
 
-def emergency_stop(reason: str, *, lift: bool = False) -> Request[EmergencyStopped]:
+def emergency_stop(
+    reason: str, *, lift: bool = False, draw: Callable[[int], bytes] = secrets.token_bytes
+) -> Request[EmergencyStopped]:
     """An emergency stop, or its end. It takes as long as the devices take to confirm it.
 
-    Its end is asked for once only: somebody else may press the next one meanwhile.
+    Its end is asked for once only: somebody else may press the next one meanwhile. `draw` gives random bytes,
+    so many, for the id of the order.
     """
-    return Request(EmergencyStop(clip(reason), lift), EmergencyStopped, 8.0, again=not lift)
+    message = EmergencyStop(draw(ID_SIZE), clip(reason), lift)
+    return Request(message, EmergencyStopped, 8.0, again=not lift)
 
 
 def forget(agent: str) -> Request[Forgotten]:
@@ -95,9 +103,11 @@ def forget(agent: str) -> Request[Forgotten]:
     return Request(Forget(agent), Forgotten, 8.0)
 
 
-def pause(*, lift: bool = False) -> Request[EmergencyStopped]:
+def pause(
+    *, lift: bool = False, draw: Callable[[int], bytes] = secrets.token_bytes
+) -> Request[EmergencyStopped]:
     """Pause the mission, or let it go on, once only. It takes as long as the devices take to confirm it."""
-    return Request(Pause(lift), EmergencyStopped, 8.0, again=not lift)
+    return Request(Pause(draw(ID_SIZE), lift), EmergencyStopped, 8.0, again=not lift)
 
 
 def recover(word: Recover) -> Request[Recovered]:
@@ -383,11 +393,27 @@ class _Asking(ObserverLink, Generic[T]):
             link.greeted(hello.role)
             if self._brings is not None and hello.revoked < self._brings.number:
                 link.send(Revocations(self._brings.data))
-            link.send(self._request.message)
+            self._ask(link, hello.epochs)
         elif isinstance(message, Refuse):
             raise GreetingError(f"{greeting.peer.host} refused: {message.reason}")
+        elif isinstance(message, OrderChallenge):
+            self._challenged(link, message)
         elif isinstance(message, self._request.answer) and not self.answer.done():
             self.answer.set_result(message)
+
+    def _ask(self, link: Link, epochs: Epochs) -> None:
+        """Send the request; an order names the epoch that the host has said last."""
+        message = self._request.message
+        if isinstance(message, EmergencyStop | Pause):
+            message = named(message, epochs)
+        link.send(message)
+
+    def _challenged(self, link: Link, challenge: OrderChallenge) -> None:
+        """A stop or a pause is still wanted. The end of one is not: the answer says that a newer one came."""
+        message = self._request.message
+        is_hold = isinstance(message, EmergencyStop | Pause) and message.kind in HOLDS
+        if is_hold and not self.answer.done():
+            self._ask(link, challenge.epochs)
 
     def on_closed(self, link: Link, error: LfieldError | None) -> None:
         if not self.answer.done():

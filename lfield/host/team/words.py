@@ -41,16 +41,17 @@ def recover(team: Coordinators, leases: Leases, host: str, number: int, word: Re
     return Recovered(generation)
 
 
-def pause(team: Coordinators, machine: Machine, now: float, *, on: bool) -> None:
-    """No agent of this host runs any more, or all go on; again is nothing new, `now` is in seconds.
+def pause(team: Coordinators, machine: Machine, now: float, *, on: bool, order: bytes) -> None:
+    """No agent of this host runs any more, or all go on; again is nothing new. `now` is in seconds, `order`
+    is the id of the order.
 
     The vehicles come down, so a call that is under way does not go on as if nothing had been: its coordinator
     is told. What waits for another host waits as long as if there had been no pause.
     """
+    team.keep(Paused(on, order))
     if team.paused == on:
         return
     team.paused = on
-    team.keep(Paused(on))
     team.say("the mission is paused: no agent runs here" if on else "the mission goes on")
     if not on:
         team.mobility.postpone(now)
@@ -61,14 +62,14 @@ def pause(team: Coordinators, machine: Machine, now: float, *, on: bool) -> None
         abandon(machine, coordinator, f"the mission was paused; {PERHAPS}")
 
 
-def stop(team: Coordinators, reason: str) -> None:
+def stop(team: Coordinators, reason: str, order: bytes) -> None:
     """The devices of this host are barred by an emergency stop, for that reason; or no more, with ''.
+    `order` is the id of the order, b"" for a lock-out.
 
     Whoever has them knows already: here it is only kept, for the next life of this host.
     """
-    if team.stopped != reason:
-        team.stopped = reason
-        team.keep(Stopped(reason))
+    team.stopped = reason
+    team.keep(Stopped(reason, order))
 
 
 def _why_not(team: Coordinators, host: str, word: Recover) -> str:

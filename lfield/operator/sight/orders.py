@@ -33,13 +33,15 @@ from lfield.operator.question import read_question
 from lfield.operator.sight.actions import Answer, Found, Order, Ordered, Witness
 from lfield.operator.sight.following.reach import Reach
 from lfield.wire.observing import EmergencyStop, EmergencyStopped, Pause, Status
+from lfield.wire.orders import ID_SIZE
 
-#: What each order is as a message, by which rights are looked up.
+#: What each order is as a message, by which rights are looked up. None of these is sent.
+_NO_ID = bytes(ID_SIZE)
 _MESSAGES: Mapping[Order, EmergencyStop | Pause] = {
-    "stop": EmergencyStop(""),
-    "lift": EmergencyStop("", lift=True),
-    "pause": Pause(),
-    "resume": Pause(lift=True),
+    "stop": EmergencyStop(_NO_ID, ""),
+    "lift": EmergencyStop(_NO_ID, "", lift=True),
+    "pause": Pause(_NO_ID),
+    "resume": Pause(_NO_ID, lift=True),
 }
 
 Beside = Callable[[Callable[[str, Answers[Status]], Answer], str, Answers[Status]], Awaitable[Answer]]
