@@ -86,7 +86,8 @@ class StopLane(Lane):
             return
         flows = self.radio.counts().items()
         sent = sum(count.bytes for flow, count in flows if DESK in (flow.source, flow.to))
-        took, self._since = time.monotonic() - self._since, time.monotonic()
+        now = time.monotonic()
+        took, self._since = now - self._since, now
         self.radio.reset()
         if line == "stopping":
             self.idle.append(sent / took)
