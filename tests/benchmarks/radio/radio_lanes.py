@@ -143,6 +143,8 @@ def address_changes(lanes: Sequence[Lane], robot: str, address: str, within: flo
 
 def _move(lane: Lane, robot: str, address: str) -> float:
     lane.radio[robot].move(address)
+    # What was complete before is not taken for what comes after.
+    lane.look()
     return time.monotonic()
 
 
