@@ -113,12 +113,10 @@ class HostCore:
         self._policies = Policies(mission.devices_of(name))
         #: The instructions to devices that are under way.
         self.commands = Commands(machine, nearby, leases, self._policies, clock, self._out, teller)
-        self._absent = absent = Absent(
-            nearby, self.hearsay, clock, unreachable_after, self.mobility, self._out
-        )
-        machine.attached.signs = SignsOfLife(absent, self.team.hosts)
+        self._absent = Absent(nearby, self.hearsay, clock, unreachable_after, self.mobility, self._out)
+        machine.attached.signs = SignsOfLife(self._absent, self.team.hosts)
         offers = Offers(self.directory, mission)
-        self.world.join(team, leases, self._begun, self.reserving, self.commands, offers, absent)
+        self.world.join(team, leases, self._begun, self.reserving, self.commands, offers, self._absent)
         #: When the coordinators of this host begin, and what a new start of them waits for.
         self.startup = startup = Beginning(
             mission, name, team, leases, clock, self._out, nearby, self.hearsay, teller, kept=bool(memory)
