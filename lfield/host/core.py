@@ -123,8 +123,7 @@ class HostCore:
         )
         #: What may have something to do at a time.
         self._timed: list[Timed] = [team, self.directory, self.hearsay, self._policies, self._inits, startup]
-        self._timed += [leases] if leases.fenced else []
-        self._timed += [self.reserving] if self._reserves else []
+        self._timed += [*([leases] if leases.fenced else []), *([self.reserving] if self._reserves else [])]
 
     # --- out ------------------------------------------------------------------------------------------
 
@@ -364,7 +363,8 @@ class HostCore:
     def arrived(self, host: str, header: Transfer, block: memoryview) -> None:
         """A coordinator came: it runs before its sender gets an answer."""
         self._hops.arrives(host, header)
-        self.coordinators.arrived(host, header, block, self._absent.transit(host))
+        transit = self._absent.transit(host) if self.machine.program.has_limits else 0.0
+        self.coordinators.arrived(host, header, block, transit)
 
     def too_large(self, host: str, header: Transfer, size: int) -> None:
         """A coordinator came whose block was not even read."""
