@@ -171,7 +171,7 @@ def test_the_start_of_a_greeting_never_changes():
 
 
 def test_a_greeting_of_the_future_shows_its_version():
-    assert decode(HELLO, b"lfld\x00\x0a nobody knows what") == ForeignHello(10)
+    assert decode(HELLO, b"lfld\x00\x63 nobody knows what") == ForeignHello(99)
 
 
 def checked(start: bytes, body: bytes) -> bytes:
