@@ -115,12 +115,10 @@ class HostCore:
         self._inits, self._policies = Inits(machine.opening, self._say), Policies(mission.devices_of(name))
         #: The instructions to devices that are under way.
         self.commands = Commands(machine, nearby, leases, self._policies, clock, self._out, teller)
-        self._absent = absent = Absent(
-            nearby, self.hearsay, clock, unreachable_after, self.mobility, self._out
-        )
-        machine.attached.signs = SignsOfLife(absent, self.team.hosts)
+        self._absent = Absent(nearby, self.hearsay, clock, unreachable_after, self.mobility, self._out)
+        machine.attached.signs = SignsOfLife(self._absent, self.team.hosts)
         offers = Offers(self.directory, mission)
-        self.world.join(team, leases, self._begun, self.reserving, self.commands, offers, absent)
+        self.world.join(team, leases, self._begun, self.reserving, self.commands, offers, self._absent)
         #: When the coordinators of this host begin, and what a new start of them waits for.
         self.startup = startup = Beginning(
             mission, name, team, leases, clock, self._out, nearby, self.hearsay, teller, kept=bool(memory)
@@ -371,7 +369,8 @@ class HostCore:
     def arrived(self, host: str, header: Transfer, block: memoryview) -> None:
         """A coordinator came: it runs before its sender gets an answer."""
         self._hops.arrives(host, header)
-        self.coordinators.arrived(host, header, block, self._absent.transit(host))
+        transit = self._absent.transit(host) if self.machine.program.has_limits else 0.0
+        self.coordinators.arrived(host, header, block, transit)
 
     def too_large(self, host: str, header: Transfer, size: int) -> None:
         """A coordinator came whose block was not even read."""
