@@ -75,14 +75,14 @@ def test_what_was_lost_is_an_object_too() -> None:
     [
         (
             Path("beta", 0.2143, 0.048, 12_345, 1_400_000),
-            "peer=beta round_trip=214 ms loss=4.8 % sent=12.3 kB received=1.4 MB",
+            "round_trip=214 ms loss=4.8 % sent=12.3 kB received=1.4 MB",
         ),
-        (Path("beta", 0.0021, None, None, 9), "peer=beta round_trip=2.1 ms received=9 B"),
-        (Path("beta", 1.25, 0.0, 0, None), "peer=beta round_trip=1.2 s loss=0.0 % sent=0 B"),
+        (Path("beta", 0.0021, None, None, 9), "round_trip=2.1 ms received=9 B"),
+        (Path("beta", 1.25, 0.0, 0, None), "round_trip=1.2 s loss=0.0 % sent=0 B"),
     ],
 )
 def test_the_figures_of_a_link_have_units_in_a_line(path: Path, words: str) -> None:
-    assert " ".join(as_line(dated(path)).split()[3:]) == f"path {words}"
+    assert " ".join(as_line(dated(path)).split()[3:]) == f"path peer=beta {words} by=beta:2"
 
 
 @pytest.mark.parametrize(
