@@ -18,7 +18,8 @@ from lfield.errors import CoordinatorAlive, LfieldError, UsageError
 from lfield.loop import spawn
 from lfield.net.tcp import TcpTransport
 from lfield.operator.addressed import Place
-from lfield.operator.ask import STATUS, Request, ask, ask_all, emergency_stop, forget, pause, recover
+from lfield.operator.ask import STATUS, ask_all, emergency_stop, forget, pause, recover
+from lfield.operator.observing import Request, ask
 from lfield.operator.recover import believed
 from lfield.operator.whereabouts import insist_on_doubt, records
 from lfield.simulate.fleet import Fleet

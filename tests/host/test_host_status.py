@@ -9,7 +9,8 @@ import pytest
 from lfield.devices.guards import Guards
 from lfield.errors import AddressError
 from lfield.host.process.until_done import until_done
-from lfield.operator.ask import STATUS, ask, ask_all
+from lfield.operator.ask import STATUS, ask_all
+from lfield.operator.observing import ask
 from lfield.wire.codec import decode, encode
 from lfield.wire.fields import MAX_NUMBERS, MAX_TEXT, OLDEST
 from lfield.wire.framing import HEADER_SIZE

@@ -59,6 +59,11 @@ class Certificates:
             self._known.move_to_end(digest)
         return found
 
+    def of_host(self, name: str) -> Known | None:
+        """The certificate of a host, the one that was used last."""
+        found = (known for known in reversed(self._known.values()) if known.who.kind == "host")
+        return next((known for known in found if known.who.name == name), None)
+
     def add(self, known: Known) -> None:
         """Remember a certificate that `verified_certificate` has verified."""
         self._known[digest_of(known.certificate)] = known

@@ -67,6 +67,8 @@ class _Host:
     named: bytes
     known: Known | None = None
     certificate: bytes = b""
+    #: Whether it has answered this order itself, and whether it is executing it.
+    has_answered: bool = False
     is_received: bool = False
     #: How many datagrams were sent, how many of those since the latest answer, and when each was.
     attempts: int = 0
@@ -81,8 +83,8 @@ class Asking:
     """An order of one `kind` with an `id` of 16 random bytes.
 
     `hosts` are those that it is for, each with the epochs that the desk last heard of it (`Epochs()` for
-    none). `trips` are round trips that were measured before, in seconds. Times are in seconds of one
-    monotonic clock.
+    none). `trips` are round trips that were measured before, in seconds, and `known` are certificates of
+    hosts that need not send them. Times are in seconds of one monotonic clock.
     """
 
     def __init__(
@@ -94,6 +96,7 @@ class Asking:
         signer: Signer,
         certificates: Certificates,
         trips: Mapping[str, float] | None = None,
+        known: Mapping[str, Known | None] | None = None,
     ) -> None:
         self.kind, self.id = kind, id
         self._reason, self._signer, self._certificates = short_reason(reason), signer, certificates
@@ -104,7 +107,8 @@ class Asking:
             signed = signer.order(Order(kind, id, self._reason, part))
             for place, one in enumerate(part):
                 trip = RoundTrip((trips or {}).get(one.host))
-                self._hosts[one.host] = _Host(hosts[one.host], trip, signed, place, one.epoch)
+                shown = (known or {}).get(one.host)
+                self._hosts[one.host] = _Host(hosts[one.host], trip, signed, place, one.epoch, shown)
 
     # --- out ------------------------------------------------------------------------------------------
 
@@ -129,6 +133,17 @@ class Asking:
         """The round trips that are measured, in seconds, for a later order."""
         measured = {name: host.trip.smoothed for name, host in self._hosts.items()}
         return {name: seconds for name, seconds in measured.items() if seconds is not None}
+
+    @property
+    def certificates(self) -> dict[str, bytes]:
+        """The certificates of hosts that are known, in DER, for a later order."""
+        return {name: host.known.certificate for name, host in self._hosts.items() if host.known is not None}
+
+    @property
+    def silent(self) -> frozenset[str]:
+        """The hosts that have not answered their latest RELAY_AFTER datagrams."""
+        waiting = ((name, host) for name, host in self._hosts.items() if host.due is not None)
+        return frozenset(name for name, host in waiting if host.unanswered > RELAY_AFTER)
 
     @property
     def due(self) -> float | None:
@@ -168,6 +183,9 @@ class Asking:
                 self._requested(datagram, now)
             elif isinstance(datagram, SignedAnswer):
                 known = self._certificates.get(datagram.signer)
+                if known is None and not datagram.certificate:
+                    self._need_certificates(now)
+                    return
                 answer, known = verified_answer(datagram, known, self._certificates.authority)
                 self._answered(answer, known, now)
         except LfieldError:
@@ -185,13 +203,20 @@ class Asking:
             self._sign_again(request.host, host, request.epochs)
         self._send(request.host, now)
 
+    def _need_certificates(self, now: float) -> None:
+        """Some host has another certificate than the one that was kept of it: ask for it, once."""
+        for name, host in self._hosts.items():
+            if host.due is not None and host.known is not None and not host.has_answered:
+                host.known = None
+                self._send(name, now)
+
     def _answered(self, answer: Answer, known: Known, now: float) -> None:
         name = known.who.name
         host = self._hosts.get(name)
         if known.who.kind != "host" or host is None or answer.id != self.id or host.result is not None:
             return
         self._certificates.add(known)
-        host.known, host.unanswered = known, 0
+        host.known, host.has_answered, host.unanswered = known, True, 0
         if not isinstance(answer, Confirmed):
             self._measure(host, answer.attempt, now)
         if not isinstance(answer, Denied):
@@ -238,7 +263,7 @@ class Asking:
 
     def _send_around(self, name: str, host: _Host) -> None:
         """Ask hosts that have answered to relay the order to one that has not."""
-        others = [other for other, seen in self._hosts.items() if other != name and seen.known]
+        others = [other for other, seen in self._hosts.items() if other != name and seen.has_answered]
         for turn in range(min(RELAYS, len(others))):
             relay = others[(host.attempts * RELAYS + turn) % len(others)]
             self._put(relay, host, 0, (host.place,))

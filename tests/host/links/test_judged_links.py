@@ -15,7 +15,8 @@ from lfield.authority.identity import ALL, NONE, Identity
 from lfield.authority.judge import NOBODY
 from lfield.authority.reading import revoked_in
 from lfield.errors import GreetingError
-from lfield.operator.ask import STATUS, ask, emergency_stop
+from lfield.operator.ask import STATUS, emergency_stop
+from lfield.operator.observing import ask
 from lfield.simulate import network
 from lfield.simulate.time import LoopClock
 from lfield.testing.keys import Keyring
