@@ -1,4 +1,4 @@
-"""A link breaks in the middle of a hop, and other hosts connect its two: they agree who has the coordinator."""
+"""A link breaks in the middle of a hop while other hosts connect its two: they agree who has what."""
 
 from __future__ import annotations
 
@@ -234,7 +234,7 @@ coordinator Walker {
 
 
 def test_any_host_that_knows_better_ends_a_doubt_about_a_host_that_is_gone(tmp_path):
-    """Both the sender to a host that is gone and the last holder, which sent it to another such, would doubt."""
+    """Both the sender to such a host and the last holder, which sent it to another one, would doubt."""
     (tmp_path / "mission.L").write_text(POST + CHAIN)
     (tmp_path / "mission.dL").write_text("".join(f"//Post:{h}@{h}\n" for h in "awyz") + "//Walker:walker@a\n")
     fleet = Fleet(load_mission(tmp_path / "mission.dL", simulate=True), 1, unreachable_after=2.0)
