@@ -7,7 +7,7 @@ calls a method for each event, then `run`, and carries out what `take` gives. A 
 from __future__ import annotations
 
 import random
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import Protocol
 
 from lfield.clock import Clock
@@ -16,6 +16,7 @@ from lfield.host.directory import TeamDirectory
 from lfield.host.effects import CHANGED, Call, Complain, Effect, Nearby, Reach, Say
 from lfield.host.inits import Inits
 from lfield.host.offers import Offers
+from lfield.host.orders.executed import Executed
 from lfield.host.sight.hops import Hops
 from lfield.host.sight.programs import Programs
 from lfield.host.sight.teller import Teller
@@ -25,6 +26,7 @@ from lfield.host.team.beginning import Beginning
 from lfield.host.team.begun import BegunPages
 from lfield.host.team.commands import Commands
 from lfield.host.team.coordinators import Coordinators
+from lfield.host.team.keeping import orders_in
 from lfield.host.team.leases import Leases
 from lfield.host.team.policy import Policies
 from lfield.host.team.relays import Relays
@@ -61,6 +63,7 @@ class HostCore:
 
     `incarnation` tells this life from the next; `unreachable_after` is in seconds. `memory` is the identity
     of the host's journal, 0 without one, `pages` what that has kept, and `times` when, in Unix time.
+    `draw` gives random bytes that nobody can predict, so many.
     """
 
     def __init__(
@@ -78,20 +81,20 @@ class HostCore:
         times: Mapping[Key, float] | None = None,
         engines: Engines | None = None,
         teller: Teller | None = None,
+        draw: Callable[[int], bytes] | None = None,
     ) -> None:
         self.mission, self.team, self.name, self.incarnation = mission, mission.team, name, incarnation
         self.here = self.team.number(name)
         self._clock, self._memory, self._reserves = clock, memory, mission.program.has_reserves
         self._effects: list[Effect] = []
-        #: What is told of all that happens here.
         self.teller = teller = teller or Teller(clock)
-        #: What the machine asks this host.
         self.world = HostWorld(self.team, self._out, self._reach, teller)
         everybody, fenced = self.team.members, mission.fenced
         self.machine = machine = Machine(
             mission.program, everybody, self.here, incarnation, self.world, clock, dice, fenced, engines
         )
         self.programs, machine.attached.rules = Programs(machine, clock.monotonic), mission.calls
+        self.orders = Executed(draw or dice.randbytes, orders_in(pages))
         own = self._hello([])
         self._hops = hops = Hops(teller, machine, name, self.team)
         self._relays = relays = Relays(self.team.hosts, name, incarnation, clock, self._out)
@@ -112,9 +115,11 @@ class HostCore:
         self._inits, self._policies = Inits(machine.opening, self._say), Policies(mission.devices_of(name))
         #: The instructions to devices that are under way.
         self.commands = Commands(machine, nearby, leases, self._policies, clock, self._out, teller)
-        offers = Offers(self.directory, mission)
-        absent = Absent(nearby, self.hearsay, clock, unreachable_after, self.mobility, self._out)
+        self._absent = absent = Absent(
+            nearby, self.hearsay, clock, unreachable_after, self.mobility, self._out
+        )
         machine.attached.signs = SignsOfLife(absent, self.team.hosts)
+        offers = Offers(self.directory, mission)
         self.world.join(team, leases, self._begun, self.reserving, self.commands, offers, absent)
         #: When the coordinators of this host begin, and what a new start of them waits for.
         self.startup = startup = Beginning(
@@ -163,6 +168,7 @@ class HostCore:
             self.mission.bindings.reservations.lease if self.mission.program.has_reserves else 0.0,
             bundle=self.mission.release.shared,
             built=self.mission.release.digest if self.mission.release.of_files else b"",
+            epochs=self.orders.epochs,
         )
 
     # --- time -----------------------------------------------------------------------------------------
@@ -190,7 +196,6 @@ class HostCore:
         if self._reserves:
             self.reserving.look()
         pause = None if self.coordinators.halted or self.coordinators.paused else self.programs.run()
-        self.coordinators.answer()
         self._inits.look(now)
         # A portal that has ended may be what somebody waits for who wants to reserve its resource.
         if self._reserves and self.reserving.look():
@@ -258,7 +263,9 @@ class HostCore:
             return self._inits.waits(agent)
         if self.leases.is_waiting(agent):
             return "waits for a majority"
-        return self.reserving.waits(agent) or self.coordinators.waits(agent)
+        return self.reserving.waits(agent) or words.waits(
+            self.coordinators, self.machine, self.team.hosts, agent
+        )
 
     def not_kept(self, why: str) -> None:
         """The disk takes nothing: what waits for it goes on waiting, and is tried again."""
@@ -275,16 +282,16 @@ class HostCore:
     def _tell_room(self) -> None:
         self._effects += [mobile.Send(host, self.coordinators.room) for host in self.hearsay.links]
 
-    def pause(self, *, on: bool) -> None:
+    def pause(self, *, on: bool, order: bytes = b"") -> None:
         """A person pauses the mission on this host, or lets it go on."""
-        words.pause(self.coordinators, self.machine, self._clock.monotonic(), on=on)
+        words.pause(self.coordinators, self.machine, self._clock.monotonic(), on=on, order=order)
         self.reserving.postpone()
         self._tell_room()
         self.startup.look()
 
-    def stop(self, reason: str) -> None:
-        """A person has pressed the emergency stop, for that reason, or has lifted it ('')."""
-        words.stop(self.coordinators, reason)
+    def stop(self, reason: str, order: bytes = b"") -> None:
+        """Somebody has pressed the emergency stop, for that reason, or has lifted it ('')."""
+        words.stop(self.coordinators, reason, order)
 
     def kept(self, number: int) -> None:
         """All pages up to those of that batch are on the disk."""
@@ -364,7 +371,7 @@ class HostCore:
     def arrived(self, host: str, header: Transfer, block: memoryview) -> None:
         """A coordinator came: it runs before its sender gets an answer."""
         self._hops.arrives(host, header)
-        self.coordinators.arrived(host, header, block)
+        self.coordinators.arrived(host, header, block, self._absent.transit(host))
 
     def too_large(self, host: str, header: Transfer, size: int) -> None:
         """A coordinator came whose block was not even read."""

@@ -9,19 +9,14 @@ from __future__ import annotations
 import asyncio
 import errno
 import os
-import random
 import traceback
 from collections import deque
 from collections.abc import Callable, Collection, Iterable
 from contextlib import suppress
-from dataclasses import dataclass, field
 from functools import partial
 from mmap import mmap
-from pathlib import Path
 from typing import Any
 
-from lfield.authority.admission import Admission
-from lfield.clock import Clock, SystemClock
 from lfield.devices.guards import Guards
 from lfield.devices.keeper import STOPPING
 from lfield.devices.measuring import insist
@@ -34,9 +29,9 @@ from lfield.host.logbook import Logbook
 from lfield.host.scribe import Scribe
 from lfield.host.sight.teller import Teller
 from lfield.host.status import status_of
-from lfield.host.surroundings import Surroundings
+from lfield.host.stopping.shell import DatagramShell, order_datagrams
+from lfield.host.surroundings import Options, Surroundings
 from lfield.host.visitors import Visitors
-from lfield.journal.journal import Journal
 from lfield.manifest import DeviceValue
 from lfield.mission.mission import Mission
 from lfield.mobility.core import Mobility
@@ -49,6 +44,7 @@ from lfield.vm.machine import Machine
 from lfield.wire.coordinators import Transfer
 from lfield.wire.messages import Control, Hello
 from lfield.wire.observing import Status, StatusRequest
+from lfield.wire.orders import RelayedAnswer, RelayedOrder
 
 #: How long a starting host waits for the others' first answers before it starts its coordinators: one that
 #: is alive elsewhere must not be started twice. Longer than a host waits before it calls again.
@@ -57,28 +53,6 @@ CENSUS = 1.5
 RESERVE = 4 << 20
 #: What a computer is out of when it refuses a socket.
 SCARCE = (errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM)
-
-
-@dataclass(slots=True)
-class Options:
-    """How a host is run. `listen` is the address to listen on, `door` the one for observers of this computer.
-
-    `journal` keeps what this host has of coordinators; without one that is gone with its process, and all
-    hosts are heard before any is started. `first_start`: somebody says that there was no start before.
-    `engine` is one of `lfield.vm.wasm.choice.CHOICES`. `admission` says who may have links with it. Times are
-    in seconds.
-    """
-
-    listen: str
-    dump: Path | None = None
-    unreachable_after: float = 10.0
-    door: str = ""
-    clock: Clock = field(default_factory=SystemClock)
-    dice: random.Random = field(default_factory=random.Random)
-    journal: Journal | None = None
-    first_start: bool = False
-    engine: str = "reference"
-    admission: Admission = field(default_factory=Admission)
 
 
 class Host:
@@ -122,11 +96,13 @@ class Host:
             self.scribe.times,
             engines_for(options.engine, self.note),
             self.teller,
+            options.draw,
         )
+        core, guards, peers = self.core, self.guards, self.peers
         self._visitors = Visitors(
-            self.core, self.guards, self.clock, self._enter, self.status, self.note, self.scribe.all_kept
+            core, guards, peers, clock, self._enter, self.status, self.note, self.scribe.all_kept
         )
-        self._visitors.links = lambda: self.peers.visiting
+        self._datagrams = self._order_datagrams(transport)
         self.changed = asyncio.Event()
         self.broken: dict[str, bool] = {}  # by agent that has died here: whether of a bug of lfield
         #: Set when the host has failed: `failure` says by what.
@@ -134,16 +110,20 @@ class Host:
         self.failure: HostFailure | None = None
         #: Called first when it fails: whatever is wrong must not keep it from ending.
         self.on_failure: Callable[[], None] = lambda: None
-        self.address = ""
         #: What other hosts have last said of themselves, for whoever asks them.
         self.statuses: dict[str, Status] = {}
         self._loop = asyncio.get_running_loop()
         self._timer: asyncio.TimerHandle | asyncio.Handle | None = None
-        self._due = 0.0
+        self.address, self._due = "", 0.0
         self._events: deque[Callable[[], None]] = deque()
         self._reserve = mmap(-1, RESERVE)
         self._entered = self._stopped = False
         options.admission.serve(self.flies, mission.access.barred, self.note)
+
+    def _order_datagrams(self, transport: Transport) -> DatagramShell | None:
+        keys, admission = self.options.orders, self.options.admission
+        stops = self._visitors.stops
+        return order_datagrams(keys, transport, admission, self.core, stops, self.peers, self.fail)
 
     @property
     def machine(self) -> Machine:
@@ -165,10 +145,10 @@ class Host:
         self.address = await self.peers.open(self.options.listen)
         await self._open_door(self.options.door)
         devices = self.mission.devices_of(self.name)
-        self._visitors.stay_stopped()
+        self._visitors.stops.stay_stopped()
         await insist(self.guards.lateness.limit, devices, self.clock)
         await self.guards.open(devices)
-        await self._visitors.stay_paused()
+        await self._visitors.stops.stay_paused()
         where = f"on {self.address}" if self.address else "for this computer alone"
         self.note(f"{self.name} is up {where}{'' if self.scribe.memory else ', and keeps nothing'}")
         if line := self.options.admission.line():
@@ -212,6 +192,8 @@ class Host:
         if self._timer:
             self._timer.cancel()
         self.peers.close()
+        if self._datagrams is not None:
+            self._datagrams.close()
         self.logbook.flush()
         return unsafe
 
@@ -364,6 +346,8 @@ class Host:
             if host:
                 self._enter(partial(self.core.told, host, message))
             self.changed.set()
+        elif isinstance(message, RelayedOrder | RelayedAnswer) and self._datagrams is not None:
+            self._datagrams.relayed(host, message)
         elif isinstance(message, StatusRequest) or not host:
             self._visitors.received(message, link)
         else:

@@ -1,16 +1,49 @@
-"""What the core of a host may look at without asking anybody: telemetry, and how its links are."""
+"""How a host is run, and what its core may look at without asking anybody: telemetry, and its links."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import random
+import secrets
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
 
+from lfield.authority.admission import Admission
 from lfield.bytecode.program import DeviceCall
 from lfield.capability.directory.news import Trouble
+from lfield.clock import Clock, SystemClock
 from lfield.devices.guards import Guards
+from lfield.host.stopping.shell import OrderKeys
+from lfield.journal.journal import Journal
 from lfield.manifest import DeviceValue, Observation
 from lfield.net.peers import Peers
 from lfield.vm.contract import Reading
 from lfield.vm.world import Pending
+
+
+@dataclass(slots=True)
+class Options:
+    """How a host is run. `listen` is the address to listen on, `door` the one for observers of this computer.
+
+    `journal` keeps what this host has of coordinators; without one that is gone with its process, and all
+    hosts are heard before any is started. `first_start`: somebody says that there was no start before.
+    `draw` gives so many random bytes. With `orders` it takes orders to stop and to pause as datagrams.
+    `engine` is one of `lfield.vm.wasm.choice.CHOICES`. `admission` says who may have links with it. Times are
+    in seconds.
+    """
+
+    listen: str
+    dump: Path | None = None
+    unreachable_after: float = 10.0
+    door: str = ""
+    clock: Clock = field(default_factory=SystemClock)
+    dice: random.Random = field(default_factory=random.Random)
+    journal: Journal | None = None
+    first_start: bool = False
+    engine: str = "reference"
+    admission: Admission = field(default_factory=Admission)
+    draw: Callable[[int], bytes] = secrets.token_bytes
+    orders: OrderKeys | None = None
 
 
 class Surroundings:
@@ -27,6 +60,14 @@ class Surroundings:
     def last_heard(self, host: str) -> float | None:
         """When something last came from a host."""
         return self._peers.last_heard(host)
+
+    def round_trip(self, host: str) -> float | None:
+        """The smoothed round-trip time of the link with a host, in seconds."""
+        return self._peers.watch.round_trip(host)
+
+    def answers_within(self, host: str) -> float | None:
+        """The time within which a linked host answers, in seconds."""
+        return self._peers.watch.answers_within(host)
 
     def last(self, device: str, quantity: str) -> Observation | None:
         """The last value of a telemetry quantity, however old."""

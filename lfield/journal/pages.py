@@ -17,7 +17,7 @@ from lfield.wire.coordinators import Outcome
 from lfield.wire.fields import Count, Hash
 
 #: The version of all pages that are written here. A page of a newer one is not read.
-VERSION = 1
+VERSION = 2
 
 #: What is kept of a copy. FROZEN is not: nothing was sent, so it is the copy that last began to run here.
 KeptState = Literal["ABSENT", "RUN", "PREPARED", "MOVED", "EXITED"]
@@ -110,15 +110,23 @@ class BundlePage(Struct, frozen=True, array_like=True, forbid_unknown_fields=Tru
 
 
 class Paused(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag="paused"):
-    """Whether somebody has paused the mission on this host: no agent runs until it is resumed."""
+    """Whether somebody has paused the mission on this host: no agent runs until it is resumed.
+
+    `order` is the id of the last order to pause or to resume, b"" in pages of version 1.
+    """
 
     on: bool
+    order: bytes = b""
 
 
 class Stopped(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag="stopped"):
-    """Why an emergency stop bars the devices of this host, '' when it was lifted."""
+    """Why an emergency stop bars the devices of this host, '' when it was lifted.
+
+    `order` is the id of the last order to stop or to lift, b"" for a lock-out and in pages of version 1.
+    """
 
     reason: str
+    order: bytes = b""
 
 
 class Fence(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag="fence"):

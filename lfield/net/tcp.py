@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 from lfield.errors import AddressError, NobodyListens
 from lfield.loop import Simulated
+from lfield.net.datagrams.port import DatagramPort, Reader, Serving, beside
 from lfield.net.paths.call import Call
 from lfield.net.paths.listener import PortListener, SocketListener
 from lfield.net.paths.reasons import refusal
@@ -37,10 +38,10 @@ class TcpTransport:
 
     `max_block` is the largest block to take and `max_pending` the most bytes to hold for a peer that does
     not read (by default room for four such blocks); a link over it is closed. `connect_timeout` is in
-    seconds. With `tls` both ends of a TCP link prove who they are and nobody else can read it; without it
-    whoever is there is a stranger, but where addresses do not lie, as in a simulation: `resident` says so.
-    `busy` is the processing time of this thread, by which peers are rationed, and `exempt` that part of it
-    which counts for none of them.
+    seconds, and as long again for the handshake. With `tls` both ends of a TCP link prove who they are and
+    nobody else can read it; without it whoever is there is a stranger, but where addresses do not lie, as in
+    a simulation: `resident` says so. `busy` is the processing time of this thread, by which peers are
+    rationed, and `exempt` that part of it which counts for none of them.
     """
 
     def __init__(
@@ -59,6 +60,9 @@ class TcpTransport:
         self._max_pending = 4 * max_block + (1 << 20) if max_pending is None else max_pending
         self._connect_timeout = connect_timeout
         self._reception = Reception(busy, exempt)
+        #: Where datagrams go that come to the addresses that are listened at; None where none are wanted.
+        self.datagrams: Reader | None = None
+        self._busy = busy
         #: Takes a line for the log.
         self.note: Callable[[str], None] = lambda text: None
         #: The addresses that have not answered lately.
@@ -77,15 +81,15 @@ class TcpTransport:
         def called() -> StreamLink:
             return self._new_link(on_link, plain=plain, calls=False)
 
-        async def serve(made: socket.socket) -> asyncio.Server:
+        async def serve(made: socket.socket) -> Serving:
             server = await loop.create_server(called, sock=made, backlog=AT_ONCE)
             _let_wait(server)
-            return server
+            return Serving(server, self._datagram_port(made))
 
         try:
             if address.startswith("fd:"):
-                server = await serve(socket.socket(fileno=int(address[3:])))
-                return SocketListener(server, socket_address(server.sockets[0].getsockname()))
+                made = socket.socket(fileno=int(address[3:]))
+                return SocketListener(await serve(made), socket_address(made.getsockname()))
             if plain:
                 path = _path(address)
                 server = await loop.create_unix_server(called, sock=_bound(path), backlog=AT_ONCE)
@@ -115,7 +119,7 @@ class TcpTransport:
 
         call = Call(address, calling, self._unanswered)
         try:
-            async with asyncio.timeout(self._connect_timeout):
+            async with asyncio.timeout(self._connect_timeout) as bound:
                 if plain:
                     _, link = await loop.create_unix_connection(calling, str(_path(address)))
                     return link
@@ -124,6 +128,8 @@ class TcpTransport:
                     call.link = link
                     await link.ready()
                     return link
+                # A path that is back after a while has all the time for the handshake.
+                call.on_connected = lambda: bound.reschedule(loop.time() + self._connect_timeout)
                 return await call.linked()
         except TimeoutError:
             if call.link is not None:
@@ -135,6 +141,19 @@ class TcpTransport:
             raise NobodyListens(address) from None
         except (OSError, UnicodeError) as error:
             raise AddressError(address, call.told(refusal(error))) from None
+
+    def _datagram_port(self, listening: socket.socket) -> DatagramPort | None:
+        """What receives datagrams beside a listening socket. A host stops over links where it cannot."""
+        if self.datagrams is None:
+            return None
+        try:
+            return DatagramPort(beside(listening), self.datagrams, self._busy)
+        except OSError as error:
+            at = socket_address(listening.getsockname())
+            self.note(
+                f"no datagrams are received at {at}, so that a stop takes a connection: {refusal(error)}"
+            )
+            return None
 
     def _new_link(self, on_link: Callable[[Link], LinkHandler], *, plain: bool, calls: bool) -> StreamLink:
         block, pending, reception = self._max_block, self._max_pending, self._reception

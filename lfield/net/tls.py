@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import os
 import ssl
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
@@ -45,13 +45,19 @@ _NONE_SHOWN = ("PEER_DID_NOT_RETURN_A_CERTIFICATE",)
 _NONE_WANTED = ("ALERT_CERTIFICATE_REQUIRED",)
 
 
+#: Hears of a certificate that was verified: DER, and whom it names.
+Seen = Callable[[bytes, Identity], None]
+
+
 class Tls:
     """What this process proves itself with, and which authority it believes.
 
-    Raises KeysError for keys that OpenSSL cannot use.
+    `seen` hears of each certificate that was verified: DER, and whom it names. Raises KeysError for keys that
+    OpenSSL cannot use.
     """
 
-    def __init__(self, keys: Keys) -> None:
+    def __init__(self, keys: Keys, seen: Seen = lambda certificate, who: None) -> None:
+        self._seen = seen
         self._calling, self._called = (
             ssl.SSLContext(side) for side in (ssl.PROTOCOL_TLS_CLIENT, ssl.PROTOCOL_TLS_SERVER)
         )
@@ -78,13 +84,14 @@ class Tls:
 
     def channel(self, *, calls: bool) -> Channel:
         """One end of a new link: of whoever calls, or of whoever is called."""
-        return Channel(self._calling if calls else self._called, calls=calls)
+        return Channel(self._calling if calls else self._called, self._seen, calls=calls)
 
 
 class Channel:
     """One end of a link, from its handshake on."""
 
-    def __init__(self, context: ssl.SSLContext, *, calls: bool) -> None:
+    def __init__(self, context: ssl.SSLContext, seen: Seen, *, calls: bool) -> None:
+        self._seen = seen
         self._incoming, self._outgoing = ssl.MemoryBIO(), ssl.MemoryBIO()
         self._tls = context.wrap_bio(self._incoming, self._outgoing, server_side=not calls)
         self._came = 0
@@ -147,6 +154,8 @@ class Channel:
         except ssl.SSLWantReadError:
             return False
         self.who, self.proven = identity_of(self._tls.getpeercert() or {}), True
+        if self.who.kind != "stranger":
+            self._seen(self._tls.getpeercert(binary_form=True) or b"", self.who)
         return True
 
 

@@ -4,24 +4,24 @@ from __future__ import annotations
 
 import asyncio
 import os
+import secrets
 import sys
 from collections import Counter, defaultdict
-from collections.abc import Hashable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Awaitable, Callable, Hashable, Iterable, Iterator, Mapping, Sequence
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Generic, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, TypeVar, cast
 
 from lfield.authority import folder
-from lfield.errors import AddressError, GreetingError, KeysError, LfieldError, NobodyListens
-from lfield.net.greeting import Greeting
+from lfield.errors import AddressError, KeysError, LfieldError, NobodyListens
 from lfield.net.stream import UNIX
 from lfield.net.tcp import TcpTransport
-from lfield.net.transport import Link, Transport, is_number
+from lfield.net.transport import Transport, is_number
 from lfield.operator.addressed import Party, Place
-from lfield.operator.observing import ObserverLink
+from lfield.operator.observing import Brought, OrderMessage, Request, ask
+from lfield.operator.orders.known_hosts import KnownHosts
 from lfield.text.visible import in_one_line
 from lfield.wire.fields import clip
-from lfield.wire.messages import Hello, Message, Refuse, Revocations
 from lfield.wire.observing import (
     EmergencyStop,
     EmergencyStopped,
@@ -34,15 +34,21 @@ from lfield.wire.observing import (
     Status,
     StatusRequest,
 )
+from lfield.wire.orders import ID_SIZE
 
 if TYPE_CHECKING:
     from lfield.authority.keys import Keys
+    from lfield.operator.orders.datagrams import Datagrams
+    from lfield.operator.orders.desk import Desk
 
 T = TypeVar("T", bound=Status | EmergencyStopped | Forgotten | Recovered | StartResponse)
 K = TypeVar("K", bound=Hashable)
 
 #: For each host by its name what it answered, or the error that stood in the way.
 Answers = Mapping[str, T | LfieldError]
+
+#: Gives an order to a host over the connection that stands; raises AddressError where there is none.
+Standing = Callable[[str, OrderMessage], Awaitable[EmergencyStopped]]
 
 #: Seconds before something is asked again.
 AGAIN_AFTER = 0.1
@@ -54,26 +60,6 @@ AT_ONCE, BESIDE, MOST_LINES = 512, 128, 8
 _MAX_BLOCK = 1 << 20
 
 
-@dataclass(frozen=True, slots=True)
-class Request(Generic[T]):
-    """What can be asked: the message, what answers it, and the seconds that a host has for that.
-
-    What may come twice is asked `again` until then, where a link (in a flood, say) ends without an answer.
-    """
-
-    message: Message
-    answer: type[T]
-    bound: float
-    again: bool = False
-
-
-class Brought(NamedTuple):
-    """A revocation list, and its number."""
-
-    number: int
-    data: bytes
-
-
 STATUS = Request(StatusRequest(), Status, 2.0)
 
 
@@ -82,12 +68,16 @@ def patiently() -> Request[Status]:
     return Request(StatusRequest(), Status, 8.0)
 
 
-def emergency_stop(reason: str, *, lift: bool = False) -> Request[EmergencyStopped]:
+def emergency_stop(
+    reason: str, *, lift: bool = False, draw: Callable[[int], bytes] = secrets.token_bytes
+) -> Request[EmergencyStopped]:
     """An emergency stop, or its end. It takes as long as the devices take to confirm it.
 
-    Its end is asked for once only: somebody else may press the next one meanwhile.
+    Its end is asked for once only: somebody else may press the next one meanwhile. `draw` gives random bytes,
+    so many, for the id of the order.
     """
-    return Request(EmergencyStop(clip(reason), lift), EmergencyStopped, 8.0, again=not lift)
+    message = EmergencyStop(draw(ID_SIZE), clip(reason), lift)
+    return Request(message, EmergencyStopped, 8.0, again=not lift)
 
 
 def forget(agent: str) -> Request[Forgotten]:
@@ -95,9 +85,11 @@ def forget(agent: str) -> Request[Forgotten]:
     return Request(Forget(agent), Forgotten, 8.0)
 
 
-def pause(*, lift: bool = False) -> Request[EmergencyStopped]:
+def pause(
+    *, lift: bool = False, draw: Callable[[int], bytes] = secrets.token_bytes
+) -> Request[EmergencyStopped]:
     """Pause the mission, or let it go on, once only. It takes as long as the devices take to confirm it."""
-    return Request(Pause(lift), EmergencyStopped, 8.0, again=not lift)
+    return Request(Pause(draw(ID_SIZE), lift), EmergencyStopped, 8.0, again=not lift)
 
 
 def recover(word: Recover) -> Request[Recovered]:
@@ -124,22 +116,44 @@ def asked_in_turn(
     """
     places = {place: address for party in parties for place, address in party.places.items()}
     failed: dict[Place, LfieldError] = {}
+    known, desk = None, None
     try:
         own = own_keys(places.values(), keys)
-        transport, brings = observer(own), brought(own)
+        known = KnownHosts.read(own.authority) if own is not None else None
+        transport, brings = observer(own, known), brought(own)
+        if own is not None and known is not None and isinstance(request.message, OrderMessage):
+            desk = desk_with(own, known)
     except KeysError as error:
         # Whoever is on this computer must hear it all the same: it may be a stop.
         transport, brings = observer(), None
         failed = {place: error for place, address in places.items() if not address.startswith(UNIX)}
     asked = {place: address for place, address in places.items() if place not in failed}
     with asyncio.Runner() as runner:
-        asking = runner.run(_begun(transport, asked, request, brings))
+        asking = runner.run(_in_loop(lambda: _AskingAll(transport, asked, request, brings, desk)))
         answers = failed | runner.run(asking.believed())
         yield {place: answers[place] for place in places if not place.user}
         answers |= runner.run(asking.others())
         yield {place: answers[place] for place in places if place.user}
+    if known is not None:
+        _remember(known, answers)
     for bug in asking.bugs:
         raise bug
+
+
+def desk_with(keys: Keys, known: KnownHosts) -> Desk:
+    """What orders are given with as datagrams. Raises KeysError for keys that cannot be used."""
+    # Most commands give no order, and cryptography is large.
+    from lfield.operator.orders.desk import Desk
+
+    return Desk(keys, known)
+
+
+def _remember(known: KnownHosts, answers: Mapping[Place, T | LfieldError]) -> None:
+    """Keep the epochs that hosts have told, so that the next stop needs one round trip."""
+    for place, answer in answers.items():
+        if isinstance(answer, Status | EmergencyStopped) and not place.user:
+            known.learn(place.host, epochs=answer.epochs)
+    known.save()
 
 
 def by_host(answers: Mapping[Place, T | LfieldError], party: Party) -> Answers[T]:
@@ -179,8 +193,12 @@ def tell_silent(hosts: Mapping[str, LfieldError], meaning: str = "") -> None:
         print(in_one_line(f"{host}: {meaning}{why}"), file=sys.stderr)
 
 
-def observer(keys: Keys | None = None, connect_timeout: float = 2.0) -> TcpTransport:
+def observer(
+    keys: Keys | None = None, known: KnownHosts | None = None, connect_timeout: float = 2.0
+) -> TcpTransport:
     """What links to hosts are made with; `connect_timeout` in seconds. Over a network it takes keys.
+
+    `known` learns the certificates of hosts.
 
     Raises KeysError for keys that cannot be used.
     """
@@ -189,7 +207,8 @@ def observer(keys: Keys | None = None, connect_timeout: float = 2.0) -> TcpTrans
     # Most commands ask on this computer, and TLS takes its time to load.
     from lfield.net.tls import Tls
 
-    return TcpTransport(_MAX_BLOCK, Tls(keys), connect_timeout=connect_timeout)
+    tls = Tls(keys, known.seen) if known is not None else Tls(keys)
+    return TcpTransport(_MAX_BLOCK, tls, connect_timeout=connect_timeout)
 
 
 def own_keys(addresses: Iterable[str], named: Path | None) -> Keys | None:
@@ -214,34 +233,47 @@ def brought(keys: Keys | None) -> Brought | None:
 
 
 async def ask_all(
-    transport: Transport, addresses: Mapping[K, str], request: Request[T], brings: Brought | None = None
+    transport: Transport,
+    addresses: Mapping[K, str],
+    request: Request[T],
+    brings: Brought | None = None,
+    desk: Desk | None = None,
+    standing: Standing | None = None,
+    on_answer: Callable[[K, T | LfieldError], None] = lambda key, answer: None,
 ) -> dict[K, T | LfieldError]:
     """The answer of every host by its key; `brings` a revocation list to them.
 
-    Those of other users' runs have no more time all together than one host has. A bug is raised as by
-    `asked_in_turn`.
+    An order is also given as datagrams, by a `desk`, and over connections that are `standing`. Each answer is
+    passed to `on_answer` when it comes. Those of other users' runs have no more time all together than one
+    host has. A bug is raised as by `asked_in_turn`.
     """
-    asking = await _begun(transport, addresses, request, brings)
+    asking = _AskingAll(transport, addresses, request, brings, desk, standing, on_answer)
     answers = await asking.believed() | await asking.others()
     for bug in asking.bugs:
         raise bug
     return {key: answers[key] for key in addresses}
 
 
-async def _begun(
-    transport: Transport, addresses: Mapping[K, str], request: Request[T], brings: Brought | None
-) -> _AskingAll[K, T]:
-    return _AskingAll(transport, addresses, request, brings)
+async def _in_loop(make: Callable[[], _AskingAll[K, T]]) -> _AskingAll[K, T]:
+    return make()
 
 
 class _AskingAll(Generic[K, T]):
     """Hosts that are being asked, in the running loop: many at once, and those of each other user beside."""
 
     def __init__(
-        self, transport: Transport, addresses: Mapping[K, str], request: Request[T], brings: Brought | None
+        self,
+        transport: Transport,
+        addresses: Mapping[K, str],
+        request: Request[T],
+        brings: Brought | None,
+        desk: Desk | None = None,
+        standing: Standing | None = None,
+        on_answer: Callable[[K, T | LfieldError], None] = lambda key, answer: None,
     ) -> None:
         self._transport, self._addresses = transport, addresses
         self._request, self._brings = request, brings
+        self._desk, self._standing, self._on_answer = desk, standing, on_answer
         self._answers: dict[K, T | LfieldError] = {}
         #: Exceptions that nobody means to raise: one host's must not keep the others from being asked.
         self.bugs: list[Exception] = []
@@ -250,10 +282,24 @@ class _AskingAll(Generic[K, T]):
         users: dict[str, list[K]] = defaultdict(list)
         for key in addresses:
             users[_user(key)].append(key)
+        believed = users.pop("", [])
+        #: The datagrams of each run's hosts.
+        self._given = self._give(believed)
         # First, so that their links are there before others can take descriptors.
-        self._believed = loop.create_task(self._each(users.pop("", []), AT_ONCE))
+        self._believed = loop.create_task(self._each(believed, AT_ONCE))
         share = max(1, BESIDE // max(1, len(users)))
         self._others = [loop.create_task(self._each(keys, share)) for keys in users.values()]
+
+    def _give(self, keys: Sequence[K]) -> dict[str, Datagrams]:
+        """Begin to send an order to the hosts over a network. At Unix sockets no datagram arrives."""
+        message, desk = self._request.message, self._desk
+        if desk is None or not isinstance(message, OrderMessage):
+            return {}
+        runs: dict[str, dict[str, str]] = defaultdict(dict)
+        for key in keys:
+            if not self._addresses[key].startswith(UNIX):
+                runs[_run(key)][_host(key)] = self._addresses[key]
+        return {run: desk.give(message, addresses) for run, addresses in runs.items()}
 
     async def _each(self, keys: Sequence[K], most: int) -> None:
         """Ask so many at a time, in their order."""
@@ -261,27 +307,47 @@ class _AskingAll(Generic[K, T]):
 
         async def some() -> None:
             for key in left:
-                self._answers[key] = await self._one(key)
+                self._answers[key] = answer = await self._one(key)
+                self._on_answer(key, answer)
 
         await asyncio.gather(*(some() for _ in range(min(most, len(keys)))))
 
     async def _one(self, key: K) -> T | LfieldError:
-        host = key.host if isinstance(key, Place) else str(key)
         address = self._addresses[key]
         if _user(key) and not (address.startswith(UNIX) or is_number(address)):
             # Looking up names takes threads, and as long as whoever owns the name likes.
             return AddressError(address, "another user's run names it: name that with --run to ask there")
         try:
-            return await _persistently(self._transport, address, self._request, host, self._brings)
+            return await self._ask(key, address)
         except LfieldError as error:
             return error
         except Exception as bug:
             self.bugs.append(bug)
             return LfieldError(f"a bug in lfield itself: {type(bug).__name__}: {bug}")
 
+    async def _ask(self, key: K, address: str) -> T:
+        host, message = _host(key), self._request.message
+        new_link = partial(_persistently, self._transport, address, self._request, host, self._brings)
+        if not isinstance(message, OrderMessage) or _user(key):
+            return await new_link()
+        given = None if address.startswith(UNIX) else self._given.get(_run(key))
+        standing = None if self._standing is None else partial(self._standing, host, message)
+        if given is None and standing is None:
+            return await new_link()
+        from lfield.operator.orders.racing import first_answer
+
+        # An order is answered in one way.
+        return cast("T", await first_answer(host, cast("Any", new_link), given, standing))
+
     async def believed(self) -> dict[K, T | LfieldError]:
         """The answers of all that are there on nobody else's word."""
-        await self._believed
+        try:
+            await self._believed
+        finally:
+            for given in self._given.values():
+                assert self._desk is not None
+                self._desk.taken(given)
+            self._given = {}
         return {key: self._answers[key] for key in self._addresses if not _user(key)}
 
     async def others(self) -> dict[K, T | LfieldError]:
@@ -297,6 +363,14 @@ class _AskingAll(Generic[K, T]):
     def _late(self, key: K) -> LfieldError:
         why = f"the runs of other users have not all answered within {self._request.bound:g} s"
         return AddressError(self._addresses[key], why)
+
+
+def _host(key: Hashable) -> str:
+    return key.host if isinstance(key, Place) else str(key)
+
+
+def _run(key: Hashable) -> str:
+    return key.run if isinstance(key, Place) else ""
 
 
 def _user(key: Hashable) -> str:
@@ -318,79 +392,3 @@ async def _persistently(
             if not request.again or loop.time() + AGAIN_AFTER > end:
                 raise
         await asyncio.sleep(AGAIN_AFTER)
-
-
-async def ask(
-    transport: Transport,
-    address: str,
-    request: Request[T],
-    host: str | None = None,
-    brings: Brought | None = None,
-) -> T:
-    """The answer of the host at an address, where `host` is meant to be.
-
-    Raises AddressError, GreetingError, WireError, KeysError, and what a bug of ours has raised.
-    """
-    asking, link = _Asking(request, host, brings), None
-    try:
-        link = await transport.connect(address, asking)
-        if link.who.kind == "stranger":
-            raise KeysError(
-                f"the host at {address} takes commands from those alone who have keys: 'lfield keys person' "
-                "makes them, and --keys, $LFIELD_KEYS or ~/.config/lfield/keys/me says where they are"
-            )
-        asking.greet(link)
-        async with asyncio.timeout(request.bound):
-            return await asking.answer
-    except TimeoutError:
-        raise AddressError(address, f"no answer within {request.bound:g} s") from None
-    finally:
-        # Also of an answer that is an error: nobody is left to take it.
-        asking.answer.cancel()
-        if link is not None:
-            link.close()
-
-
-class _Asking(ObserverLink, Generic[T]):
-    """The handler of one link: greets, asks, keeps the answer."""
-
-    def __init__(self, request: Request[T], host: str | None, brings: Brought | None) -> None:
-        self._request, self._host, self._brings = request, host, brings
-        self._greeting: Greeting | None = None
-        self.answer: asyncio.Future[T] = asyncio.get_running_loop().create_future()
-
-    def greet(self, link: Link) -> Greeting:
-        """Greet whoever is there, once; what the host says may come before whoever connects gets its turn."""
-        if self._greeting is None:
-            self._greeting = Greeting(Hello("observer", "observer", 0), link.who, dialled=self._host)
-            link.send(self._greeting.begin())
-        return self._greeting
-
-    def on_message(self, link: Link, message: Message) -> None:
-        try:
-            self._take(link, message)
-        except LfieldError:
-            raise
-        except Exception as bug:
-            # A link makes nothing of it but its end, which would be taken for the host's, and asked again.
-            if not self.answer.done():
-                self.answer.set_exception(bug)
-
-    def _take(self, link: Link, message: Message) -> None:
-        greeting = self.greet(link)
-        if greeting.peer is None:
-            hello = greeting.receive(message)
-            link.greeted(hello.role)
-            if self._brings is not None and hello.revoked < self._brings.number:
-                link.send(Revocations(self._brings.data))
-            link.send(self._request.message)
-        elif isinstance(message, Refuse):
-            raise GreetingError(f"{greeting.peer.host} refused: {message.reason}")
-        elif isinstance(message, self._request.answer) and not self.answer.done():
-            self.answer.set_result(message)
-
-    def on_closed(self, link: Link, error: LfieldError | None) -> None:
-        if not self.answer.done():
-            self.answer.set_exception(
-                error or AddressError(link.peer, "it closed the link without an answer")
-            )

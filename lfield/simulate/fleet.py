@@ -20,10 +20,11 @@ from lfield.driver.binding import DeviceBinding
 from lfield.driver.known import KnownDrivers
 from lfield.errors import JournalError, LfieldError
 from lfield.host.core import HostCore
-from lfield.host.host import Host, Options
+from lfield.host.host import Host
 from lfield.host.logbook import Logbook
 from lfield.host.process.run import live
 from lfield.host.process.stop_words import StopWords
+from lfield.host.surroundings import Options
 from lfield.journal.pages import Page
 from lfield.mission.mission import Mission
 from lfield.net.tcp import TcpTransport
@@ -215,6 +216,7 @@ class Fleet:
             unreachable_after=self._unreachable_after,
             journal=journal,
             first_start=name not in self._known and not disk.pages(),
+            draw=random.Random(f"orders {name} {machine.clock.monotonic()}").randbytes,
         )
         if not self.keeps:
             self._known.add(name)

@@ -18,7 +18,8 @@ from lfield.errors import CoordinatorAlive, LfieldError, UsageError
 from lfield.loop import spawn
 from lfield.net.tcp import TcpTransport
 from lfield.operator.addressed import Place
-from lfield.operator.ask import STATUS, Request, ask, ask_all, emergency_stop, forget, pause, recover
+from lfield.operator.ask import STATUS, ask_all, emergency_stop, forget, pause, recover
+from lfield.operator.observing import Request, ask
 from lfield.operator.recover import believed
 from lfield.operator.whereabouts import insist_on_doubt, records
 from lfield.simulate.fleet import Fleet
@@ -53,7 +54,10 @@ class Operator:
 
     def __init__(self, fleet: Fleet, judges: Judges, dice: random.Random) -> None:
         self._fleet, self._judges = fleet, judges
-        self._process = fleet.station("operator", random.Random(dice.random()))
+        seed = dice.random()
+        self._process = fleet.station("operator", random.Random(seed))
+        #: For the ids of orders.
+        self._dice = random.Random(f"ids {seed}")
         self._transport = TcpTransport(fleet.mission.max_block, resident=resident)
         self._places = {Place("", host): address for host, address in fleet.mission.team.reached.items()}
         self._names = {place: place.host for place in self._places}
@@ -92,11 +96,15 @@ class Operator:
     async def _order(self, hold: Hold, place: Place) -> None:
         press = self.presses[hold]
         with _listed(self._pressing[hold]):
-            answer = await self._ask(place, _request(hold, lift=False))
+            answer = await self._ask(place, self._request(hold, lift=False))
         # An answer that comes when the button is let go promises nothing any more.
         if isinstance(answer, EmergencyStopped) and hold in self._held and press == self.presses[hold]:
             self.carried_out[hold] += 1
             self._judges.confirmed(hold, place.host, answer)
+
+    def _request(self, hold: Hold, *, lift: bool) -> Request[EmergencyStopped]:
+        draw = self._dice.randbytes
+        return emergency_stop(REASON, lift=lift, draw=draw) if hold == "stop" else pause(lift=lift, draw=draw)
 
     async def _ask(self, place: Place, request: Request[Any]) -> Any:
         try:
@@ -113,7 +121,7 @@ class Operator:
     async def _lift(self, hold: Hold) -> None:
         self._interrupt(self._pressing.pop(hold, set()))
         with _listed(self._lifting[hold]):
-            await ask_all(self._transport, self._places, _request(hold, lift=True))
+            await ask_all(self._transport, self._places, self._request(hold, lift=True))
         if hold == "stop":
             await self._start()
 
@@ -209,7 +217,3 @@ def _listed(tasks: set[asyncio.Task[None]]) -> Iterator[None]:
         yield
     finally:
         tasks.discard(task)
-
-
-def _request(hold: Hold, *, lift: bool) -> Request[EmergencyStopped]:
-    return emergency_stop(REASON, lift=lift) if hold == "stop" else pause(lift=lift)

@@ -285,7 +285,7 @@ class TransportKit:
 
     def test_a_greeted_observer_may_send_what_is_small(self, bench: TransportBench) -> None:
         pair = Pair(bench, role="observer")
-        longest = EmergencyStop("\U0010ffff" * MAX_TEXT)
+        longest = EmergencyStop(bytes(16), "\U0010ffff" * MAX_TEXT)
         pair.link.send(longest)
         bench.until(lambda: pair.far.heard == [longest])
         pair.link.send(

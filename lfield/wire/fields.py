@@ -37,9 +37,13 @@ Count = Annotated[int, Meta(ge=0, le=2**63 - 1)]
 #: A number that whoever hears it counts on from: what comes next is still a Count.
 Ordinal = Annotated[int, Meta(ge=0, le=2**62)]
 Hash = Annotated[bytes, Meta(max_length=HASH_SIZE)]
+#: The id of an order to stop or pause, or to end either: random, drawn by whoever gives it.
+OrderId = Annotated[bytes, Meta(min_length=16, max_length=16)]
 Index = Annotated[int, Meta(ge=0, le=2**16 - 1)]
 Label = Annotated[str, Meta(max_length=MAX_LABEL)]
 Age = Annotated[float, Meta(ge=0.0, le=OLDEST)]
+#: A part of a whole.
+Share = Annotated[float, Meta(ge=0.0, le=1.0)]
 #: A time in seconds since 1970 UTC, up to the year 9999.
 Moment = Annotated[float, Meta(ge=0.0, le=2.6e11)]
 #: The value of an attribute: a number, a truth, a text, or the members of a set.

@@ -35,6 +35,7 @@ from lfield.wire.observing import (
     EmergencyStopped,
     Forget,
     Forgotten,
+    OrderChallenge,
     Pause,
     Recover,
     Recovered,
@@ -43,6 +44,7 @@ from lfield.wire.observing import (
     Status,
     StatusRequest,
 )
+from lfield.wire.orders import Epochs, RelayedAnswer, RelayedOrder
 from lfield.wire.quorum import QuorumMessage
 from lfield.wire.reservations import ReservationMessage
 from lfield.wire.watching import WatchMessage
@@ -70,6 +72,7 @@ class Hello(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
     its revocation list; both 0 where nobody has keys. `bundle` is the digest of the bundle that it runs, of
     which those hashes are a part; b"" where it runs what its own files say, and `built` is then the digest of
     the bundle that it has made of those files: it is shown to people and not compared.
+    `epochs` are what orders to stop and to pause must name (`orders`).
     """
 
     role: Role
@@ -90,11 +93,19 @@ class Hello(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
     revoked: Count = 0
     bundle: Hash = b""
     built: Hash = b""
+    epochs: Epochs = Epochs()
 
     @property
     def brief(self) -> Hello:
         """What whoever is no host hears of it: nothing of the mission, for that takes the right to ask."""
-        return Hello(self.role, self.host, self.incarnation, time=self.time, revoked=self.revoked)
+        return Hello(
+            self.role,
+            self.host,
+            self.incarnation,
+            time=self.time,
+            revoked=self.revoked,
+            epochs=self.epochs,
+        )
 
     @property
     def remembers(self) -> int:
@@ -238,6 +249,9 @@ Control = (
     | Recovered
     | StartRequest
     | StartResponse
+    | OrderChallenge
+    | RelayedOrder
+    | RelayedAnswer
     | Report
     | Heard
     | Relayed

@@ -8,6 +8,7 @@ from __future__ import annotations
 from typing import Annotated, Literal
 
 from msgspec import Meta, Struct
+from msgspec.structs import replace
 
 from lfield.wire.coordinators import CopyState, Known
 from lfield.wire.fields import (
@@ -19,11 +20,14 @@ from lfield.wire.fields import (
     MaybeName,
     Moment,
     Name,
+    OrderId,
     Ordinal,
+    Share,
     Telemetry,
     Text,
     ToldBy,
 )
+from lfield.wire.orders import UNKNOWN, Epoch, Epochs, Kind
 
 
 class StatusRequest(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=6):
@@ -60,10 +64,19 @@ class DeviceStatus(Struct, frozen=True, array_like=True, forbid_unknown_fields=T
 
 
 class LinkStatus(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
-    """Another host: for how long there has been no link to it, None while there is one."""
+    """Another host: for how long there has been no link to it, None while there is one.
+
+    Of a link the smoothed round-trip time in seconds, the share of segments sent that were lost in the last
+    minute, and the bytes sent (the repeated ones too) and received since it was made, with what TLS adds and
+    without headers of TCP and IP; None for what is not measured.
+    """
 
     host: Name
     away: Age | None
+    round_trip: Age | None = None
+    loss: Share | None = None
+    sent: Count | None = None
+    received: Count | None = None
 
 
 class ToldFact(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
@@ -176,6 +189,7 @@ class Status(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, t
     for a mission that was read from files. `stopped` is why an emergency stop bars its devices, '' for none,
     and `unkept` what it could not keep of whom it believes, and forgets with its end. `refused` are the hosts
     with which no link can be made, `start` is None where no coordinator of this host waits to be started.
+    `epochs` are what orders must name (see `orders`).
     """
 
     host: Name
@@ -200,27 +214,40 @@ class Status(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, t
     unkept: Text = ""
     refused: Annotated[list[RefusedHost], Meta(max_length=4096)] = []
     start: StartStatus | None = None
+    epochs: Epochs = Epochs()
 
 
 class EmergencyStop(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=10):
     """From an observer: bring every device of this host into its safe state and bar `release()`.
 
-    With `lift` the bar is taken away again; the devices stay latched until the program releases them.
+    With `lift` the bar is taken away again; the devices stay latched until the program releases them. `id`
+    and `epoch` as in `orders`: an order with the id of one that was executed is only confirmed again, and one
+    that names another epoch than the host has is answered by a `Challenge`.
     """
 
+    id: OrderId
     reason: Text
     lift: bool = False
+    epoch: Epoch = UNKNOWN
+
+    @property
+    def kind(self) -> Kind:
+        """Which order this is."""
+        return "lift" if self.lift else "stop"
 
 
 class EmergencyStopped(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=11):
     """The answer: every device of the host, with '' when its safe state is confirmed, else why it is not.
 
     `trouble` is why the host may not know of that when it is started again, '' when it will. It is '' also of
-    a host without a journal, which never does. Or it is why an order to end a stop or a pause was refused.
+    a host without a journal, which never does. Or it says that the order was ended by a later one. `id` is
+    that of the order, and `epochs` are those of the host now.
     """
 
     devices: dict[str, Text]
     trouble: Text = ""
+    id: Annotated[bytes, Meta(max_length=16)] = b""
+    epochs: Epochs = Epochs()
 
 
 class Forget(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=15):
@@ -258,10 +285,25 @@ class Recovered(Struct, frozen=True, array_like=True, forbid_unknown_fields=True
 class Pause(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=19):
     """From an observer: let no agent run, bring every device into its safe state; with `lift` let all go on.
 
-    Answered by an EmergencyStopped, when that is kept.
+    Answered by an EmergencyStopped, when that is kept. `id` and `epoch` as in EmergencyStop.
     """
 
+    id: OrderId
     lift: bool = False
+    epoch: Epoch = UNKNOWN
+
+    @property
+    def kind(self) -> Kind:
+        """Which order this is."""
+        return "resume" if self.lift else "pause"
+
+
+class OrderChallenge(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=46):
+    """The answer to an EmergencyStop or a Pause with another epoch than the host has: it may be old, and is
+    not executed. Whoever still wants it sends it again with the epoch of its kind."""
+
+    id: OrderId
+    epochs: Epochs
 
 
 class StartRequest(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=37):
@@ -277,3 +319,8 @@ class StartResponse(Struct, frozen=True, array_like=True, forbid_unknown_fields=
     started: Annotated[list[Name], Meta(max_length=4096)]
     waiting: StartStatus | None = None
     trouble: Text = ""
+
+
+def named(order: EmergencyStop | Pause, epochs: Epochs) -> EmergencyStop | Pause:
+    """An order that names the epoch of its kind of a host with these `epochs`."""
+    return replace(order, epoch=epochs.of(order.kind))

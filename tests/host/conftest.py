@@ -12,8 +12,9 @@ from typing import Any
 
 import pytest
 
-from lfield.host.host import Host, Options
+from lfield.host.host import Host
 from lfield.host.logbook import Logbook
+from lfield.host.surroundings import Options
 from lfield.manifest import Observation
 from lfield.mission.bindings import MissionStart
 from lfield.mission.load import load_mission

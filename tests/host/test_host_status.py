@@ -9,7 +9,8 @@ import pytest
 from lfield.devices.guards import Guards
 from lfield.errors import AddressError
 from lfield.host.process.until_done import until_done
-from lfield.operator.ask import STATUS, ask, ask_all
+from lfield.operator.ask import STATUS, ask_all
+from lfield.operator.observing import ask
 from lfield.wire.codec import decode, encode
 from lfield.wire.fields import MAX_NUMBERS, MAX_TEXT, OLDEST
 from lfield.wire.framing import HEADER_SIZE
@@ -38,7 +39,7 @@ def test_the_status_shows_agents_hops_portals_and_heap(fleet):
         status = await ask(team.network.transport("desk"), "away:8181", STATUS)
         assert status.host == "away"
         assert status.address == "away:8181"
-        assert status.links == [LinkStatus("home", None)]
+        assert status.links == [LinkStatus("home", None, 0.0)]
         assert status.up >= 1.0
         assert (status.program, status.deployment) == (mission.program.digest, mission.team.deployment)
         agents = {agent.id: agent for agent in status.agents}

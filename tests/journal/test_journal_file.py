@@ -90,7 +90,7 @@ def test_a_newer_version_is_refused_and_stays_as_it_is(
         bench.sql(statement)
     else:
         journal = bench.open()
-        monkeypatch.setattr("lfield.journal.pages.VERSION", 2)
+        monkeypatch.setattr("lfield.journal.pages.VERSION", 3)
         bench.run(journal.keep([Starts(1)]))
         journal.close()
         monkeypatch.undo()

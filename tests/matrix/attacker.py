@@ -15,7 +15,7 @@ from contextlib import suppress
 from lfield.authority.keys import Keys
 from lfield.errors import LfieldError, WireError
 from lfield.net.tcp import TcpTransport
-from lfield.operator.ask import Request, ask
+from lfield.operator.observing import Request, ask
 from lfield.wire.codec import TRANSFER, decode, encode, frame_decoder, limits
 from lfield.wire.messages import Message, Ping, Pong
 from lfield.wire.observing import EmergencyStopped

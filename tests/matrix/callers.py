@@ -45,13 +45,14 @@ SAID_BY_HOSTS: dict[str, Message] = {
     "bar": Propose("tom", 9),
     "renew": Renew("arm", 1, "tom", 1),
 }
+ID = bytes(16)
 SAID_BY_COMMANDS: dict[str, Message] = {
     "ps": StatusRequest(),
     "watch": Watch(),
-    "estop": EmergencyStop("why"),
-    "lift": EmergencyStop("", lift=True),
-    "pause": Pause(),
-    "resume": Pause(lift=True),
+    "estop": EmergencyStop(ID, "why"),
+    "lift": EmergencyStop(ID, "", lift=True),
+    "pause": Pause(ID),
+    "resume": Pause(ID, lift=True),
     "forget": Forget("tom"),
     "recover": Recover("tom", 1, 2, 3),
     "start": StartRequest(["bravo"]),

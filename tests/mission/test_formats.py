@@ -14,9 +14,10 @@ from lfield.bytecode import encoding
 from lfield.capability.reading.reader import read_registry
 from lfield.driver.plugins import discover
 from lfield.errors import BlockError, GreetingError, ProgramFileError
-from lfield.host.host import Host, Options
+from lfield.host.host import Host
 from lfield.host.logbook import Logbook
 from lfield.host.process.until_done import until_done
+from lfield.host.surroundings import Options
 from lfield.mission.bindings_file import read_bindings
 from lfield.mission.load import load_mission
 from lfield.net.greeting import Greeting

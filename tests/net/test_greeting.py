@@ -98,7 +98,8 @@ def test_who_gives_commands_is_no_host(who, name):
     assert why == f"a takes hosts by their certificates, and {name} only gives commands"
 
 
-STOP, LIFT, PAUSE, RESUME = EmergencyStop("fire"), EmergencyStop("", True), Pause(), Pause(True)
+ID = bytes(16)
+STOP, LIFT, PAUSE, RESUME = EmergencyStop(ID, "fire"), EmergencyStop(ID, "", True), Pause(ID), Pause(ID, True)
 OPERATING = [LIFT, RESUME, Forget("tom"), Recover("tom", 1, 1, 1), StartRequest(["b"])]
 TABLE = [(StatusRequest(), Right.OBSERVE), (STOP, Right.STOP), (PAUSE, Right.STOP)]
 TABLE += [(message, Right.OPERATE) for message in OPERATING]

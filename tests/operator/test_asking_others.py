@@ -16,7 +16,8 @@ from lfield.net.tcp import TcpTransport
 from lfield.net.transport import is_number
 from lfield.operator import ask
 from lfield.operator.addressed import Party, Place
-from lfield.operator.ask import STATUS, Request, ask_all, asked_in_turn, unheard
+from lfield.operator.ask import STATUS, ask_all, asked_in_turn, unheard
+from lfield.operator.observing import Request
 from lfield.operator.runs import Note, Run
 from lfield.simulate.time import run_jumping
 from lfield.wire.observing import Status, StatusRequest

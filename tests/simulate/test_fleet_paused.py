@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
+from secrets import token_bytes
 
 from lfield.mission.load import load_mission
 from lfield.simulate.fleet import Fleet, Life
-from lfield.wire.observing import Pause
+from lfield.wire.observing import Pause, named
 
 PROGRAM = """
 resource Post {
@@ -37,7 +38,8 @@ class Desk:
 
 
 def say(life: Life, *, lift: bool) -> None:
-    life.process.loop.enter(lambda: life.host.received("", Pause(lift), Desk()))
+    order = named(Pause(token_bytes(16), lift), life.core.orders.epochs)
+    life.process.loop.enter(lambda: life.host.received("", order, Desk()))
 
 
 def latched(fleet: Fleet) -> str:

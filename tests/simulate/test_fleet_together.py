@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
+from secrets import token_bytes
 
 import pytest
 
 from lfield.journal.pages import BegunPage
 from lfield.mission.load import load_mission
-from lfield.simulate.fleet import Fleet
-from lfield.wire.observing import Pause
+from lfield.simulate.fleet import Fleet, Life
+from lfield.wire.observing import EmergencyStop, Pause, named
 
 PROGRAM = """
 resource Post {
@@ -209,13 +210,17 @@ def test_a_time_limit_counts_for_how_long_the_host_of_the_boss_was_down(tmp_path
     assert team.now < began + 4.0
 
 
+def order(life: Life, *, lift: bool) -> EmergencyStop | Pause:
+    return named(Pause(token_bytes(16), lift), life.core.orders.epochs)
+
+
 def test_what_runs_for_a_boss_that_is_elsewhere_ends_when_its_host_is_paused(tmp_path: Path) -> None:
     team = Team(tmp_path, 6.0, 12.0)
     team.until("sets 2")
 
     def say(*, lift: bool) -> None:
         life = team.lives["bravo"]
-        life.process.loop.enter(lambda: life.host.received("", Pause(lift), Desk()))
+        life.process.loop.enter(lambda: life.host.received("", order(life, lift=lift), Desk()))
 
     say(lift=False)
     team.run(2.0)

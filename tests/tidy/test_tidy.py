@@ -41,7 +41,6 @@ SMALL = {
     "lfield/host/process/stop_words.py": "what ends a host",
     "lfield/host/dumping.py": "where the block of a dead agent goes",
     "lfield/host/logbook.py": "the two streams of a host",
-    "lfield/host/surroundings.py": "what the core may look at",
     "lfield/host/sight/programs.py": "for how long programs have run",
     "lfield/net/paths/reasons.py": "what errors of sockets mean, a table",
     "lfield/net/waiting/bars.py": "the back-off of a member that sent too much",

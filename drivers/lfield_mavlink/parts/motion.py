@@ -16,7 +16,7 @@ from lfield_mavlink.parts.failsafe import Failsafe
 from lfield_mavlink.parts.fences import OwnFence
 from lfield_mavlink.parts.progress import Arrival, Progress
 from lfield_mavlink.services.parameters import Parameters
-from lfield_mavlink.setpoints.guided_mode import GuidedMode
+from lfield_mavlink.setpoints.guided_mode import GuidedMode, Hover
 from lfield_mavlink.setpoints.orders import Order, Patience, Stack, orders_for, reposition
 from lfield_mavlink.setpoints.speed import Speed
 from lfield_mavlink.setpoints.stream import SetpointStream
@@ -46,7 +46,7 @@ class Motion:
         self.monitor.is_ours = lambda: self.ours
         self.stream = SetpointStream(vehicle.clock, self.send, self._where, self._is_followed)
         self.speed = Speed(vehicle, self.stream, parameters)
-        self.guided = GuidedMode(vehicle)
+        self.guided, self.hover = GuidedMode(vehicle), Hover(vehicle)
         self.tolerance: float = vehicle.binding.option("tolerance")
         # The modes that the last order leads to; any other mode is somebody else's doing.
         self._commanded: frozenset[str] = frozenset()
@@ -99,6 +99,7 @@ class Motion:
         self.monitor.check_begin(what)
         self._vehicle.take_charge()
         self._began, self._stopped = self._vehicle.clock.monotonic(), ""
+        self.hover.end()
         self.speed.begin()
         self.brake()
 
@@ -120,11 +121,12 @@ class Motion:
                 await self.start("hold", Order(frozenset({profile.guided}), trajectory=Stay(place, STAYS_AT)))
                 return
         await self.set_mode(profile.hold)
+        self.hover.begin()
 
     def brake(self) -> None:
         """Have no motion go on: PX4's copter stops by the setpoints that it needs anyway."""
         place, profile = self._resting_place, self._vehicle.profile
-        stops = self.stream.runs and self._is_in_guided and profile.by_trajectory and profile.flies
+        stops = self.stream.runs and self._is_fed and profile.by_trajectory and profile.flies
         if stops and place is not None:
             self._begin_stream(Stay(place, STAYS_AT))
         else:
@@ -154,10 +156,15 @@ class Motion:
         profile, state, place = self._vehicle.profile, self._state, self._resting_place
         if not profile.px4 or state.mode != profile.hold or place is None:
             return False
+        fed = self._is_fed
         try:
             await self._begin("hold", reposition(state, place, None))
         except DeviceError:
             return False
+        if fed:
+            values = profile.mode_command(profile.hold)
+            await self.failsafe.did_the_same("hold", dialect.MAV_CMD_DO_SET_MODE, *values)
+        self.stream.stop()
         return True
 
     async def enter(
@@ -169,11 +176,12 @@ class Motion:
         done: Callable[[], bool] = lambda: False,
     ) -> None:
         """Enter a mode by a command that leads to it, or see that it is `done`. Raises DeviceError."""
+        self.hover.end()
         self.monitor.on_mode(mode)
         # Noted before it is known to have worked: a safe state that is tried again must count as ours, and so
         # must the mode that it is still in when the new one is refused.
         self._commanded |= {mode}
-        fed = self._vehicle.profile.px4 and self._is_in_guided
+        fed = self._is_fed
         await self._vehicle.achieve(
             what, lambda: self._state.mode == mode or done(), command, *values, mode=mode
         )
@@ -243,7 +251,7 @@ class Motion:
             raise
 
     def _begin_stream(self, trajectory: Trajectory) -> None:
-        self._left_at, self._was_in_guided = None, self._is_in_guided
+        self._left_at, self._was_in_guided = None, self._is_in_guided or self._is_fed
         self.stream.follow(trajectory)
 
     def _where(self) -> tuple[Vector | None, Vector]:
@@ -260,6 +268,11 @@ class Motion:
     @property
     def _is_in_guided(self) -> bool:
         return self._state.mode == self._vehicle.profile.guided
+
+    @property
+    def _is_fed(self) -> bool:
+        """Whether PX4 waits for setpoints, also where it has accepted that and has not shown it yet."""
+        return self._vehicle.profile.px4 and (self._is_in_guided or self.guided.is_believed)
 
     def _on_mode(self, _: object) -> None:
         """Note when it leaves OFFBOARD, once it was in it."""

@@ -15,7 +15,7 @@ from lfield.text.visible import clipped, in_one_line
 if TYPE_CHECKING:
     from lfield.errors import LfieldError
     from lfield.operator.addressed import Party, Place
-    from lfield.operator.ask import Request
+    from lfield.operator.observing import Request
     from lfield.operator.runs import Run
     from lfield.wire.observing import EmergencyStopped
 

@@ -61,7 +61,8 @@ def _carry_out(parties: list[Party], belief: Belief, host: str, keys: Path | Non
     """Raises CoordinatorAlive when the host says no, and AddressError when it says nothing."""
     import asyncio
 
-    from lfield.operator.ask import ask, observer, own_keys, recover
+    from lfield.operator.ask import observer, own_keys, recover
+    from lfield.operator.observing import ask
 
     address = next(party.places[belief.place] for party in parties if belief.place in party.places)
     transport = observer(own_keys([address], keys))

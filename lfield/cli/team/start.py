@@ -35,7 +35,8 @@ def run(args: argparse.Namespace) -> int:
     69 when a host did not answer that is not left out: coordinators may still wait there.
     """
     from lfield.operator.addressed import names_of
-    from lfield.operator.ask import Request, ask_parties, tell_silent, unheard
+    from lfield.operator.ask import ask_parties, tell_silent, unheard
+    from lfield.operator.observing import Request
     from lfield.wire.observing import StartRequest, StartResponse
 
     parties = meant_parties(args, meant_runs(args))

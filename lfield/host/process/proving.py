@@ -21,7 +21,7 @@ from lfield.host.process.own_list import ListKeeper, newest_list
 from lfield.journal.pages import BundlePage, Page
 from lfield.mission.access.release import FROM_FILES, Release, Taken, taken
 from lfield.mission.mission import Mission
-from lfield.net.tls import Tls
+from lfield.net.tls import Seen, Tls
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,15 +48,21 @@ def insist_on_keys(host: str, hosts: Sequence[str]) -> None:
         )
 
 
-def admitted(proof: Proof, host: str, clock: Clock, times: Collection[float]) -> tuple[Tls, Judged]:
+def admitted(
+    proof: Proof,
+    host: str,
+    clock: Clock,
+    times: Collection[float],
+    seen: Seen = lambda certificate, who: None,
+) -> tuple[Tls, Judged]:
     """What carries the links of a host, and who may have one.
 
     `times` are those of its journal: it was so late already. One after the end of its keys is of a clock that
-    was wrong, or they will be seen to have ended.
+    was wrong, or they will be seen to have ended. `seen` hears of certificates as in `Tls`.
 
     Raises KeysError for keys of somebody else, that are revoked, or that end too soon.
     """
-    tls = Tls(proof.keys)
+    tls = Tls(proof.keys, seen)
     own = tls.own()
     if (own.kind, own.name) != ("host", host):
         raise KeysError(

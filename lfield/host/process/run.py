@@ -15,14 +15,17 @@ from typing import NoReturn
 
 from lfield import exits
 from lfield.authority.admission import Admission
+from lfield.authority.orders.signing import Certificates, Signer
 from lfield.clock import SystemClock
 from lfield.driver.binding import longest_rest
-from lfield.host.host import Host, Options
+from lfield.host.host import Host
 from lfield.host.logbook import Logbook
 from lfield.host.process.leash import Leash
 from lfield.host.process.proving import Proof, admitted, insist_on_keys, insist_on_signature
 from lfield.host.process.stop_words import StopWords, hear_signals
 from lfield.host.process.until_done import until_done
+from lfield.host.stopping.shell import OrderKeys
+from lfield.host.surroundings import Options
 from lfield.journal.journal import Journal
 from lfield.mission.mission import Mission
 from lfield.mobility.fates import Fate
@@ -59,12 +62,15 @@ async def run_host(
     Raises AddressError, DevicesError and KeysError when it cannot start.
     """
     clock, logbook = SystemClock(), Logbook()
-    address, tls, admission = "", None, Admission()
+    address, tls, admission, orders = "", None, Admission(), None
     if proof is None:
         insist_on_keys(name, mission.team.hosts)
     else:
         address = listen or mission.team.addresses[mission.team.number(name)]
-        tls, admission = admitted(proof, name, clock, journal.times.values() if journal else ())
+        certificates = Certificates(proof.keys.authority)
+        times = journal.times.values() if journal else ()
+        tls, admission = admitted(proof, name, clock, times, certificates.seen)
+        orders = OrderKeys(Signer(proof.keys), certificates, proof.keys.authority)
         release, doubt = insist_on_signature(mission, proof, admission, journal.pages() if journal else ())
         mission = replace(mission, release=release)
         if doubt:
@@ -80,6 +86,7 @@ async def run_host(
         clock=clock,
         engine=engine or mission.bindings.engine,
         admission=admission,
+        orders=orders,
     )
     # What programs compute when a message wakes them is no work of whoever has sent it.
     transport = TcpTransport(mission.max_block, tls, exempt=lambda: host.core.programs.ran)

@@ -5,11 +5,14 @@ A person cannot see what this host has now, so its own knowledge comes first: wh
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from lfield.host.team.coordinators import Coordinators
 from lfield.host.team.leases import Leases, abandon
 from lfield.journal.pages import Paused, Stopped
 from lfield.mobility.departures import PERHAPS
 from lfield.mobility.generations import next_recovery
+from lfield.vm.agent import Agent
 from lfield.vm.machine import Machine
 from lfield.wire.fields import clip
 from lfield.wire.observing import Recover, Recovered
@@ -41,16 +44,17 @@ def recover(team: Coordinators, leases: Leases, host: str, number: int, word: Re
     return Recovered(generation)
 
 
-def pause(team: Coordinators, machine: Machine, now: float, *, on: bool) -> None:
-    """No agent of this host runs any more, or all go on; again is nothing new, `now` is in seconds.
+def pause(team: Coordinators, machine: Machine, now: float, *, on: bool, order: bytes) -> None:
+    """No agent of this host runs any more, or all go on; again is nothing new. `now` is in seconds, `order`
+    is the id of the order.
 
     The vehicles come down, so a call that is under way does not go on as if nothing had been: its coordinator
     is told. What waits for another host waits as long as if there had been no pause.
     """
+    team.keep(Paused(on, order))
     if team.paused == on:
         return
     team.paused = on
-    team.keep(Paused(on))
     team.say("the mission is paused: no agent runs here" if on else "the mission goes on")
     if not on:
         team.mobility.postpone(now)
@@ -61,14 +65,14 @@ def pause(team: Coordinators, machine: Machine, now: float, *, on: bool) -> None
         abandon(machine, coordinator, f"the mission was paused; {PERHAPS}")
 
 
-def stop(team: Coordinators, reason: str) -> None:
+def stop(team: Coordinators, reason: str, order: bytes) -> None:
     """The devices of this host are barred by an emergency stop, for that reason; or no more, with ''.
+    `order` is the id of the order, b"" for a lock-out.
 
     Whoever has them knows already: here it is only kept, for the next life of this host.
     """
-    if team.stopped != reason:
-        team.stopped = reason
-        team.keep(Stopped(reason))
+    team.stopped = reason
+    team.keep(Stopped(reason, order))
 
 
 def _why_not(team: Coordinators, host: str, word: Recover) -> str:
@@ -86,3 +90,15 @@ def _why_not(team: Coordinators, host: str, word: Recover) -> str:
     if (left.generation, left.sequence) != (word.generation, word.sequence):
         return f"what {host} has of {word.agent} has changed meanwhile; ask again"
     return ""
+
+
+def waits(team: Coordinators, machine: Machine, hosts: Sequence[str], agent: Agent) -> str:
+    """What a frozen coordinator waits for, in a word or two: it is only kept, or it leaves."""
+    if agent.too_far:
+        return "cannot be there in time"
+    if team.trouble and team.keeping.holds_back(agent.id):
+        return "waits for its disk"
+    if not team.is_leaving(agent):
+        return "being kept"
+    called = machine.calling(agent) if machine.fetches(agent) else None
+    return f"fetches from {hosts[called[0].host]}" if called else "leaving"

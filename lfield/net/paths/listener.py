@@ -30,7 +30,7 @@ class Server(Protocol):
 class SocketListener:
     """One listening socket, that of a path or one that was inherited; `path` is removed at its end."""
 
-    def __init__(self, server: asyncio.Server, address: str, path: Path | None = None) -> None:
+    def __init__(self, server: Server, address: str, path: Path | None = None) -> None:
         self._server, self.address, self._path = server, address, path
 
     def close(self) -> None:

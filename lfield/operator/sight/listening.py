@@ -16,7 +16,8 @@ from pathlib import Path
 from lfield.clock import Clock, SystemClock
 from lfield.net.transport import Transport
 from lfield.operator.addressed import Party, Place
-from lfield.operator.ask import Brought, brought, observer, own_keys
+from lfield.operator.ask import brought, observer, own_keys
+from lfield.operator.observing import Brought
 from lfield.operator.sight.following.beside import beside
 from lfield.operator.sight.following.follower import Follower
 from lfield.operator.sight.following.reach import Reach

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import os
 from collections.abc import Awaitable, Callable, Mapping
-from functools import cached_property
+from functools import cached_property, partial
 
 from lfield.authority.identity import Identity
 from lfield.authority.judge import Verdict
@@ -18,28 +18,23 @@ from lfield.mission.team import Team
 from lfield.net.door import oneself
 from lfield.net.stream import UNIX
 from lfield.net.transport import Transport
-from lfield.operator.ask import (
-    Answers,
-    Brought,
-    Request,
-    ask_all,
-    emergency_stop,
-    patiently,
-    pause,
-    silent,
-)
+from lfield.operator.ask import Answers, Standing, ask_all, emergency_stop, patiently, pause, silent
+from lfield.operator.observing import Brought, Request
+from lfield.operator.orders.desk import Desk
 from lfield.operator.query import Asked, from_hosts, views_of
 from lfield.operator.question import read_question
 from lfield.operator.sight.actions import Answer, Found, Order, Ordered, Witness
 from lfield.operator.sight.following.reach import Reach
 from lfield.wire.observing import EmergencyStop, EmergencyStopped, Pause, Status
+from lfield.wire.orders import ID_SIZE
 
-#: What each order is as a message, by which rights are looked up.
+#: What each order is as a message, by which rights are looked up. None of these is sent.
+_NO_ID = bytes(ID_SIZE)
 _MESSAGES: Mapping[Order, EmergencyStop | Pause] = {
-    "stop": EmergencyStop(""),
-    "lift": EmergencyStop("", lift=True),
-    "pause": Pause(),
-    "resume": Pause(lift=True),
+    "stop": EmergencyStop(_NO_ID, ""),
+    "lift": EmergencyStop(_NO_ID, "", lift=True),
+    "pause": Pause(_NO_ID),
+    "resume": Pause(_NO_ID, lift=True),
 }
 
 Beside = Callable[[Callable[[str, Answers[Status]], Answer], str, Answers[Status]], Awaitable[Answer]]
@@ -51,6 +46,7 @@ class Orders:
     `keys` are those of this person, None for none; `access` is what the mission takes of their rights, as far
     as this computer knows. `asked` is what questions are about; where that cannot be had, its error says why.
     It may take a while, and is only looked for when somebody asks: what takes long is done `beside` the loop.
+    Orders go over the connections that are `standing`, and as datagrams by the `desk` of the keys.
     """
 
     def __init__(
@@ -64,11 +60,13 @@ class Orders:
         brings: Brought | None = None,
         beside: Beside = asyncio.to_thread,
         access: Access = UNWRITTEN,
+        desk: Desk | None = None,
+        standing: Standing | None = None,
     ) -> None:
         self._beside = beside
         self._transport, self._reach, self._witness = transport, reach, witness
         self._team, self._read, self._keys, self._brings = team, asked, keys, brings
-        self._access = access
+        self._access, self._desk, self._standing = access, desk, standing
         self._asked: Asked | None = None
 
     # --- who may --------------------------------------------------------------------------------------
@@ -131,13 +129,16 @@ class Orders:
         troubles: dict[str, str] = {}
         addresses = dict(self._reach.addresses)
         number = self._witness.ordered(order, addresses)
-
-        async def one(host: str) -> EmergencyStopped | LfieldError:
-            answers = await ask_all(self._transport, {host: addresses[host]}, request, self._brings)
-            self._witness.answered(number, host, answers[host])
-            return answers[host]
-
-        for host, answer in zip(addresses, await asyncio.gather(*map(one, addresses)), strict=True):
+        answers = await ask_all(
+            self._transport,
+            addresses,
+            request,
+            self._brings,
+            self._desk,
+            self._standing,
+            partial(self._witness.answered, number),
+        )
+        for host, answer in answers.items():
             if isinstance(answer, LfieldError):
                 unreached[host] = str(answer)
                 continue

@@ -19,7 +19,8 @@ from lfield.mission.load import load_mission
 from lfield.mission.mission import Mission
 from lfield.mission.team import Team
 from lfield.operator.addressed import Party
-from lfield.operator.ask import brought, observer, own_keys
+from lfield.operator.ask import brought, desk_with, observer, own_keys
+from lfield.operator.orders.known_hosts import KnownHosts
 from lfield.operator.query import Asked, read_asked
 from lfield.operator.sight.actions import Actions, Order
 from lfield.operator.sight.following.beside import beside
@@ -32,6 +33,7 @@ from lfield.operator.sight.picture.team_picture import Picture
 from lfield.operator.sight.seen import Curve, Seen
 from lfield.operator.sight.timeline.timeline import Dated
 from lfield.wire.observing import EmergencyStopped
+from lfield.wire.orders import Epochs
 from lfield.wire.watching import Events
 
 #: How often a second each device and agent is told of.
@@ -104,6 +106,10 @@ def read_mission(path: Path) -> Mission | None:
         return None
 
 
+def _keep_nothing(host: str, epochs: Epochs) -> None:
+    """Hosts at Unix sockets get no datagrams."""
+
+
 @asynccontextmanager
 async def watched(
     path: Path, team: Team, party: Party, look: Callable[[], Sequence[Party]], keys: Path | None = None
@@ -115,7 +121,8 @@ async def watched(
     """
     clock = SystemClock()
     own = own_keys(party.addresses.values(), keys)
-    transport, brings = observer(own), brought(own)
+    desk = desk_with(own, KnownHosts.read(own.authority)) if own is not None else None
+    transport, brings = observer(own, desk.known if desk is not None else None), brought(own)
     reach = Reach(party, look)
     mission = await asyncio.to_thread(read_mission, path)
     shown = Watched(roll_of(path.stem, team, mission), clock)
@@ -124,9 +131,28 @@ async def watched(
     def asked() -> Asked:
         return read_asked(path, team)
 
-    shown.actions = Orders(transport, reach, shown, team, asked, own, brings, access=access)
     follower = Follower(
-        transport, reach.hosts, reach, shown, clock, telemetry=RATE, brings=brings, hint=reach.hint
+        transport,
+        reach.hosts,
+        reach,
+        shown,
+        clock,
+        telemetry=RATE,
+        brings=brings,
+        hint=reach.hint,
+        learn=desk.learn if desk is not None else _keep_nothing,
+    )
+    shown.actions = Orders(
+        transport,
+        reach,
+        shown,
+        team,
+        asked,
+        own,
+        brings,
+        access=access,
+        desk=desk,
+        standing=follower.order,
     )
     past = said_before(transport, reach.hosts, reach, clock, brings)
     async with beside(shown.begin_log(past), follower.run(), shown.tick()):

@@ -16,6 +16,7 @@ from typing import cast
 
 from lfield.authority.identity import ALL, Identity
 from lfield.errors import MissionTestError, Stuck
+from lfield.host.host import Host
 from lfield.mission.load import load_mission
 from lfield.net.transport import Link
 from lfield.simulate.fleet import Fleet, Life
@@ -28,8 +29,8 @@ from lfield.testing.mission.patience import Held, Patience
 from lfield.testing.mission.picture import Mark
 from lfield.testing.mission.standing import standing
 from lfield.testing.mission.watching import Hop, Hops, Line, Lines, Point, Tracks
-from lfield.wire.messages import Control
-from lfield.wire.observing import Pause
+from lfield.wire.observing import Pause, named
+from lfield.wire.orders import ID_SIZE
 
 #: Seconds of virtual time after which what has not come is not waited for any more.
 AT_MOST = 3600.0
@@ -51,6 +52,10 @@ class _Desk:
     """The link of the person who gives commands in a test; it ignores the answers."""
 
     peer, who, send = "the test", Identity("person", "the test", ALL), staticmethod(lambda message: None)
+
+
+def _say(host: Host, order: Pause) -> None:
+    host.received("", named(order, host.core.orders.epochs), cast(Link, _Desk))
 
 
 class Team:
@@ -76,6 +81,8 @@ class Team:
         self._outcomes: dict[str, tuple[int, str]] = {}
         #: What the test has done to the team, for its picture; the hosts that it has ended.
         self.marks, self._away = list[Mark](), set[str]()
+        #: For the ids of orders.
+        self._pauses = 0
         self._calls, self._hops = Calls(lambda: self.now), Hops(lambda: self.now)
         #: Words that somebody shall say, and how much of the log was looked at for them.
         self._awaited, self._read = "", 0
@@ -349,18 +356,20 @@ class Team:
 
     def pause(self) -> None:
         """As `lfield pause`: no program runs, and devices come to rest, until `resume`."""
-        self._command(Pause())
+        self._pause(lift=False)
         self._mark("the mission is paused")
 
     def resume(self) -> None:
         """Let all go on."""
-        self._command(Pause(lift=True))
+        self._pause(lift=True)
         self._mark("the mission goes on")
 
-    def _command(self, word: Control) -> None:
+    def _pause(self, *, lift: bool) -> None:
         self._be_open()
+        self._pauses += 1
+        order = Pause(self._pauses.to_bytes(ID_SIZE), lift)
         for life in self._fleet.lives.values():
-            life.process.loop.enter(partial(life.host.received, "", word, cast(Link, _Desk)))
+            life.process.loop.enter(partial(_say, life.host, order))
 
     def close(self) -> None:
         """End all that runs, at once; what was recorded can still be read.

@@ -23,8 +23,9 @@ from lfield.capability.directory.news import Condition, Sample
 from lfield.clock import SystemClock
 from lfield.devices.guards import Guards
 from lfield.host.directory import LOOK_EVERY
-from lfield.host.host import Host, Options
+from lfield.host.host import Host
 from lfield.host.logbook import Logbook
+from lfield.host.surroundings import Options
 from lfield.host.telling.reports import Reports
 from lfield.loop import run
 from lfield.manifest import Observation

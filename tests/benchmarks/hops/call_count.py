@@ -29,8 +29,9 @@ import lfield
 from lfield import loop
 from lfield.authority.minted import Minted
 from lfield.clock import SystemClock
-from lfield.host.host import Host, Options
+from lfield.host.host import Host
 from lfield.host.logbook import Logbook
+from lfield.host.surroundings import Options
 from lfield.journal.file import FileJournal
 from lfield.journal.opening import Owner
 from lfield.mission.load import load_mission

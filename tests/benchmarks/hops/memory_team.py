@@ -8,9 +8,10 @@ from collections import Counter
 from pathlib import Path
 
 from lfield.clock import SystemClock
-from lfield.host.host import Host, Options
+from lfield.host.host import Host
 from lfield.host.logbook import Logbook
 from lfield.host.process.until_done import until_done
+from lfield.host.surroundings import Options
 from lfield.mission.load import load_mission
 from lfield.mission.mission import Mission
 from lfield.simulate.network import MemoryNetwork

@@ -26,8 +26,9 @@ from lfield.authority.identity import Identity
 from lfield.authority.keys import Keys
 from lfield.authority.minted import Minted
 from lfield.host.core import HostCore
-from lfield.host.host import Host, Options
+from lfield.host.host import Host
 from lfield.host.logbook import Logbook
+from lfield.host.surroundings import Options
 from lfield.host.team.world import HostWorld
 from lfield.mission.load import load_mission
 from lfield.mission.mission import Mission

@@ -139,7 +139,7 @@ def test_rights_may_have_blanks_and_a_comma_at_the_end(here, team: Path, words: 
 def test_the_hint_for_somebody_who_lacks_a_right_gives_it(here, team: Path) -> None:
     may = frozenset({Right.OBSERVE, Right.COMMAND})
     assert here("keys", "person", "oli", "--may", "observe,command").status == 0
-    said = lacks(Identity("person", "oli", may), ALL_IS_WELL, EmergencyStop("fog"))
+    said = lacks(Identity("person", "oli", may), ALL_IS_WELL, EmergencyStop(bytes(16), "fog"))
     for line in re.findall("'lfield (.*?)'", said):
         done = here(*line.split())
         assert done.status == 0, done.err

@@ -12,7 +12,8 @@ from lfield.authority.believed import BelievedTime
 from lfield.authority.identity import ALL, NONE, Identity
 from lfield.clock import SystemClock
 from lfield.errors import GreetingError
-from lfield.operator.ask import STATUS, ask, emergency_stop, pause
+from lfield.operator.ask import STATUS, emergency_stop, pause
+from lfield.operator.observing import ask
 from lfield.simulate import network
 from lfield.testing.keys import Keyring
 from lfield.wire.messages import Hello

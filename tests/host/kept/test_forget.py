@@ -8,7 +8,8 @@ import pytest
 
 from lfield.errors import AddressError, CoordinatorAlive, UsageError
 from lfield.host.process.until_done import until_done
-from lfield.operator.ask import STATUS, ask, ask_all, forget
+from lfield.operator.ask import STATUS, ask_all, forget
+from lfield.operator.observing import ask
 from lfield.operator.whereabouts import insist_on_doubt
 
 PROGRAM = """

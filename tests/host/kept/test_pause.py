@@ -5,7 +5,8 @@ from __future__ import annotations
 import asyncio
 
 from lfield.cli.views.picture import as_data
-from lfield.operator.ask import ask, pause
+from lfield.operator.ask import pause
+from lfield.operator.observing import ask
 
 PROGRAM = """
 resource Post {

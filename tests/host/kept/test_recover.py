@@ -12,7 +12,8 @@ from lfield.cli.views.picture import picture
 from lfield.errors import AddressError, CoordinatorAlive, UsageError
 from lfield.mobility.generations import STRIDE
 from lfield.operator.addressed import Place
-from lfield.operator.ask import STATUS, ask, ask_all, forget, recover
+from lfield.operator.ask import STATUS, ask_all, forget, recover
+from lfield.operator.observing import ask
 from lfield.operator.recover import believed
 from lfield.operator.whereabouts import what_can_be_done
 from lfield.wire.observing import Recover

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
+from secrets import token_bytes
 
 from lfield.authority.identity import ALL, Identity
 from lfield.journal.pages import Stopped
 from lfield.mission.load import load_mission
 from lfield.simulate.fleet import Fleet
-from lfield.wire.observing import EmergencyStop, EmergencyStopped, Pause
+from lfield.wire.observing import EmergencyStop, EmergencyStopped, Pause, named
 
 #: It climbs for ever, and releases its copter whenever it may.
 PROGRAM = """
@@ -46,18 +47,20 @@ class Person:
     def send(self, message: object) -> None:
         """The host answers."""
         assert isinstance(message, EmergencyStopped)
-        self.answers.append(message)
+        assert len(message.id) == 16
+        self.answers.append(EmergencyStopped(message.devices, message.trouble))
         self.kept.append(kept(self._fleet))
 
     def stop(self, *, lift: bool = False) -> None:
-        self._say(EmergencyStop(WHY, lift))
+        self._say(EmergencyStop(token_bytes(16), WHY, lift))
 
     def pause(self) -> None:
-        self._say(Pause())
+        self._say(Pause(token_bytes(16)))
 
     def _say(self, message: EmergencyStop | Pause) -> None:
         life = self._fleet.lives["alpha"]
-        life.process.loop.enter(lambda: life.host.received("", message, self))  # type: ignore[arg-type]
+        order = named(message, life.core.orders.epochs)
+        life.process.loop.enter(lambda: life.host.received("", order, self))  # type: ignore[arg-type]
 
 
 def flying(folder: Path, *, keeps: bool = True) -> tuple[Fleet, Person]:

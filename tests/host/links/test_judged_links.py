@@ -15,7 +15,8 @@ from lfield.authority.identity import ALL, NONE, Identity
 from lfield.authority.judge import NOBODY
 from lfield.authority.reading import revoked_in
 from lfield.errors import GreetingError
-from lfield.operator.ask import STATUS, ask, emergency_stop
+from lfield.operator.ask import STATUS, emergency_stop
+from lfield.operator.observing import ask
 from lfield.simulate import network
 from lfield.simulate.time import LoopClock
 from lfield.testing.keys import Keyring
@@ -251,10 +252,11 @@ def test_whose_certificate_ends_in_flight_keeps_the_link_to_look_and_stop(fleet,
         looks, lifts = [await _looks(team, name) for _ in range(2)]
         await asyncio.sleep(30.0)
         assert not looks.over
-        lifts.link.send(EmergencyStop("", lift=True))
+        lifts.link.send(EmergencyStop(bytes(16), "", lift=True))
         await team.until(lambda: lifts.over)
         assert ("may only look and stop" if name == "desk" else "a person has it") in lifts.refused
-        looks.link.send(EmergencyStop("enough"))
+        epoch = alpha.host.core.orders.epochs.hold
+        looks.link.send(EmergencyStop(bytes(16), "enough", epoch=epoch))
         await team.until(lambda: looks.over)
         assert f"the certificate of {judges.who[name]} ended" in looks.refused
         assert "EMERGENCY STOP" in alpha.log

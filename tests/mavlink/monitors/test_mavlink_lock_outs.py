@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from secrets import token_bytes
+
 import pytest
 
 from lfield.authority.identity import ALL, Identity
-from lfield.wire.observing import EmergencyStop
+from lfield.wire.observing import EmergencyStop, named
 
 PROGRAM = """
 resource Post {
@@ -77,5 +79,6 @@ def test_a_lock_out_outlives_the_guard_the_host_and_its_computer(tmp_path, lfiel
     assert len(tried) >= 2
     assert {text.split("done:")[1].strip() for text in tried} == {""}
     life = fleet.lives["alpha"]
-    life.process.loop.enter(lambda: life.host.received("", EmergencyStop("", lift=True), Operator()))
+    lift = named(EmergencyStop(token_bytes(16), "", lift=True), life.core.orders.epochs)
+    life.process.loop.enter(lambda: life.host.received("", lift, Operator()))
     team.run(until="done: released ready armed", at_most=60.0)

@@ -13,6 +13,7 @@ from lfield.wire.codec import decode, encode
 from lfield.wire.events import Event
 from lfield.wire.framing import HEADER_SIZE
 from lfield.wire.messages import Control, Refuse
+from lfield.wire.observing import EmergencyStop, Pause, named
 from lfield.wire.watching import Events, Seen, Watch
 
 PROGRAM = """
@@ -53,6 +54,10 @@ class Eye:
         life = self.fleet.lives.get(self.host)
         if life is not None:
             life.process.loop.enter(lambda: life.host.received("", message, self))  # type: ignore[arg-type]
+
+    def order(self, message: EmergencyStop | Pause) -> None:
+        """An order that names what the host says of itself now."""
+        self.say(named(message, self.fleet.lives[self.host].core.orders.epochs))
 
     def send(self, message: object) -> None:
         """The host's end of the link."""

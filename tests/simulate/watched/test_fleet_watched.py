@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from itertools import pairwise
 from pathlib import Path
+from secrets import token_bytes
 
 import pytest
 from eyes import PROGRAM, chain, fleet_of, watch
@@ -90,7 +91,7 @@ def test_an_emergency_stop_leads_to_the_latches_of_all_devices(tmp_path: Path) -
     fleet.run(8.0)
     eye = watch(fleet, "alpha")
     fleet.run(1.0)
-    eye.say(EmergencyStop("people on the field"))
+    eye.order(EmergencyStop(token_bytes(16), "people on the field"))
     fleet.run(6.0)
     (stopped,) = eye.of(events.Stopped)
     assert stopped.what == events.Stopped("the eye", "people on the field")
@@ -101,7 +102,7 @@ def test_an_emergency_stop_leads_to_the_latches_of_all_devices(tmp_path: Path) -
     assert chain(eye, eye.of(events.Moving)[-1])[-3:] == ["confirmed", "latched", "stopped"]
     assert eye.of(events.Moving)[-1].what == events.Moving("p.fc", "")
     assert 0.0 <= latched.up - stopped.up < 0.2
-    eye.say(EmergencyStop("", lift=True))
+    eye.order(EmergencyStop(token_bytes(16), "", lift=True))
     fleet.run(0.5)
     assert eye.of(events.Stopped)[-1].what == events.Stopped("the eye", "", lifted=True)
 
@@ -110,9 +111,9 @@ def test_a_pause_and_its_end_are_told_with_whoever_said_so(tmp_path: Path) -> No
     fleet = fleet_of(tmp_path)
     fleet.run(8.0)
     eye = watch(fleet, "alpha")
-    eye.say(Pause())
+    eye.order(Pause(token_bytes(16)))
     fleet.run(6.0)
-    eye.say(Pause(lift=True))
+    eye.order(Pause(token_bytes(16), lift=True))
     fleet.run(6.0)
     paused, resumed = eye.of(events.Paused)
     assert (paused.what, resumed.what) == (events.Paused("the eye"), events.Paused("the eye", lifted=True))
@@ -199,7 +200,7 @@ def test_who_stops_reading_gets_a_window_and_then_an_end(tmp_path: Path) -> None
     assert eye.refused == "what it watches was not read for 60 s"
     # One more says what it has lost, should it read that one day.
     assert len(eye.batches) == WINDOW + 1
-    assert eye.batches[-1].lost.keys() == {"measured", "standing"}
+    assert eye.batches[-1].lost.keys() == {"measured", "standing", "path"}
     assert len(other.batches) > 600
     assert not any("state" in batch.lost for batch in other.batches)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from secrets import token_bytes
 
 import pytest
 from eyes import Eye, chain, watch
@@ -157,7 +158,7 @@ def test_who_can_be_called_and_who_no_more_is_told_with_its_cause(
     assert snapshot is not None
     assert [(told.agent, told.refusal) for told in snapshot.directory] == [("one", ""), ("two", "")]
     assert not eye.of(events.Withdrawn) + eye.of(events.Offered)
-    eye.say(EmergencyStop("why"))
+    eye.order(EmergencyStop(token_bytes(16), "why"))
     fleet.crash("bravo")
     fleet.run(5.0)
     withdrawn = {event.what.agent: event for event in eye.of(events.Withdrawn)}  # type: ignore[union-attr]

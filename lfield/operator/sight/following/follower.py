@@ -8,16 +8,20 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Awaitable, Callable, Sequence
+from dataclasses import dataclass
 from typing import Protocol
+
+from msgspec.structs import replace
 
 from lfield.clock import Clock
 from lfield.errors import AddressError, GreetingError, KeysError, LfieldError, NobodyListens
 from lfield.net.greeting import Greeting
 from lfield.net.transport import Link, Transport
-from lfield.operator.ask import Brought
-from lfield.operator.observing import ObserverLink
+from lfield.operator.observing import Brought, ObserverLink, OrderMessage, answered_challenge
 from lfield.operator.sight.following.cursor import Cursor
 from lfield.wire.messages import Hello, Message, Refuse, Revocations
+from lfield.wire.observing import EmergencyStopped, OrderChallenge
+from lfield.wire.orders import HOLDS, UNKNOWN, Epochs
 from lfield.wire.watching import Events, Seen
 
 #: Whoever is silent for so many seconds is given up; a look is taken every so many.
@@ -43,7 +47,8 @@ class Follower:
     """Follows `hosts` by their names. `reach` says where one is to be found now, as often as it is called.
 
     `since` and `telemetry` (Hz) as a `Cursor` has them; `brings` is a revocation list for hosts that have an
-    older one. `hint` is what else to say, if anything, of one that is not found there.
+    older one. `hint` is what else to say, if anything, of one that is not found there. `learn`
+    gets the epochs that a host tells, which its orders must name.
     """
 
     def __init__(
@@ -58,18 +63,30 @@ class Follower:
         telemetry: float = 0.0,
         brings: Brought | None = None,
         hint: Callable[[], str] = lambda: "",
+        learn: Callable[[str, Epochs], None] = lambda host, epochs: None,
     ) -> None:
         self._transport, self._hosts, self._reach, self._hint = transport, hosts, reach, hint
-        self._hearer, self._clock, self._brings = hearer, clock, brings
+        self._hearer, self._clock, self._brings, self._learn = hearer, clock, brings, learn
         self._cursors = {host: Cursor(since, telemetry) for host in hosts}
-        #: Where each was called last.
+        #: Where each was called last, and those that are heard now.
         self._tried: dict[str, str] = {}
+        self._watching: dict[str, Watching] = {}
 
     async def run(self) -> None:
         """Follow all of them until this is cancelled."""
         async with asyncio.TaskGroup() as group:
             for host in self._hosts:
                 group.create_task(self._follow(host))
+
+    async def order(self, host: str, message: OrderMessage) -> EmergencyStopped:
+        """Give an order over the connection that stands with a host; what it answers.
+
+        Raises AddressError where there is none, or it ends before that, and GreetingError for a refusal.
+        """
+        watching = self._watching.get(host)
+        if watching is None:
+            raise AddressError(host, "there is no connection with it")
+        return await watching.order(message)
 
     async def _follow(self, host: str) -> None:
         cursor = self._cursors[host]
@@ -80,7 +97,7 @@ class Follower:
 
     async def _once(self, host: str, cursor: Cursor) -> tuple[str, bool]:
         """Follow a host until there is no link any more; why that is, and whether nothing was heard of it."""
-        watching = Watching(host, cursor, self._hearer, self._clock, self._brings)
+        watching = Watching(host, cursor, self._hearer, self._clock, self._brings, self._learn)
         link: Link | None = None
         try:
             address = await self._reach(host)
@@ -88,6 +105,7 @@ class Follower:
                 # It was started elsewhere since it was last looked for.
                 cursor.nobody()
             self._tried[host] = address
+            self._watching[host] = watching
             link = await self._transport.connect(address, watching)
             watching.greet(link)
             return await watching.over, watching.is_silent
@@ -98,19 +116,34 @@ class Follower:
         except LfieldError as error:
             return str(error), False
         finally:
+            self._watching.pop(host, None)
             watching.end()
             if link is not None:
                 link.abort()
+
+
+@dataclass(slots=True)
+class _Given:
+    """An order that was sent, and what comes of it."""
+
+    message: OrderMessage
+    answer: asyncio.Future[EmergencyStopped]
 
 
 class Watching(ObserverLink):
     """The handler of one link: greets, watches, hands on what comes, and says that it was read."""
 
     def __init__(
-        self, host: str, cursor: Cursor, hearer: Hearer, clock: Clock, brings: Brought | None
+        self,
+        host: str,
+        cursor: Cursor,
+        hearer: Hearer,
+        clock: Clock,
+        brings: Brought | None,
+        learn: Callable[[str, Epochs], None],
     ) -> None:
         self._host, self._cursor, self._hearer = host, cursor, hearer
-        self._clock, self._brings = clock, brings
+        self._clock, self._brings, self._learn = clock, brings, learn
         self._greeting: Greeting | None = None
         #: When it was asked what has not been answered yet, and when it is to be asked anew.
         self._asked: float | None = None
@@ -119,6 +152,10 @@ class Watching(ObserverLink):
         self._timer: asyncio.TimerHandle | None = None
         #: Whether it was given up, since nothing came.
         self.is_silent = False
+        #: The link once the host has greeted, with the epochs that it told last, and the orders under way.
+        self._link: Link | None = None
+        self._epochs = Epochs()
+        self._orders: dict[bytes, _Given] = {}
         #: Why the link is over, when it is.
         self.over: asyncio.Future[str] = asyncio.get_running_loop().create_future()
 
@@ -144,11 +181,50 @@ class Watching(ObserverLink):
             link.greeted(hello.role)
             if self._brings is not None and hello.revoked < self._brings.number:
                 link.send(Revocations(self._brings.data))
+            self._link = link
+            self._told_epochs(hello.epochs)
             self._watch(link, hello.incarnation)
         elif isinstance(message, Refuse):
-            raise GreetingError(f"{greeting.peer.host} refused: {message.reason}")
+            refusal = GreetingError(f"{greeting.peer.host} refused: {message.reason}")
+            self._fail_orders(refusal)
+            raise refusal
         elif isinstance(message, Events):
             self._take(link, message)
+        elif isinstance(message, EmergencyStopped | OrderChallenge):
+            self._answered(link, message)
+
+    def _told_epochs(self, epochs: Epochs) -> None:
+        self._epochs = epochs
+        self._learn(self._host, epochs)
+
+    async def order(self, message: OrderMessage) -> EmergencyStopped:
+        """See `Follower.order`. An order to end something names no state: the host tells its own first."""
+        if self._link is None:
+            raise AddressError(self._host, "there is no connection with it")
+        epoch = self._epochs.hold if message.kind in HOLDS else UNKNOWN
+        given = _Given(replace(message, epoch=epoch), asyncio.get_running_loop().create_future())
+        self._orders[message.id] = given
+        try:
+            self._link.send(given.message)
+            return await given.answer
+        finally:
+            del self._orders[message.id]
+
+    def _answered(self, link: Link, message: EmergencyStopped | OrderChallenge) -> None:
+        self._told_epochs(message.epochs)
+        given = self._orders.get(message.id)
+        if given is None or given.answer.done():
+            return
+        if isinstance(message, EmergencyStopped):
+            given.answer.set_result(message)
+        elif again := answered_challenge(given.message, message):
+            given.message = again
+            link.send(again)
+
+    def _fail_orders(self, error: LfieldError) -> None:
+        for given in self._orders.values():
+            if not given.answer.done():
+                given.answer.set_exception(error)
 
     def _watch(self, link: Link, incarnation: int) -> None:
         self._asked, self._due = self._heard, self._heard + ASKED_EVERY
@@ -158,6 +234,8 @@ class Watching(ObserverLink):
         """A batch; its host may send another for it once the hearer has it."""
         if self.over.done():
             return
+        if batch.snapshot is not None:
+            self._told_epochs(batch.snapshot.epochs)
         took = None
         if self._asked is not None and batch.batch == 1:
             took, self._asked = self._heard - self._asked, None
@@ -178,7 +256,9 @@ class Watching(ObserverLink):
 
     def on_closed(self, link: Link, error: LfieldError | None) -> None:
         """The link is gone."""
-        self._over(str(error) if error is not None else "it has closed the link")
+        why = str(error) if error is not None else "it has closed the link"
+        self._over(why)
+        self._fail_orders(error if isinstance(error, GreetingError) else AddressError(self._host, why))
 
     def _over(self, why: str) -> None:
         if not self.over.done():
@@ -187,5 +267,6 @@ class Watching(ObserverLink):
     def end(self) -> None:
         """Nobody waits for it any more."""
         self.over.cancel()
+        self._fail_orders(AddressError(self._host, "the connection with it has ended"))
         if self._timer is not None:
             self._timer.cancel()

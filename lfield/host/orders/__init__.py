@@ -1,0 +1,1 @@
+"""Which orders to stop and to pause a host executes."""

@@ -1,0 +1,125 @@
+"""The sockets at which a host receives datagrams: at the address and port number of each listening socket.
+
+Reading is bounded. A turn of the event loop takes at most AT_ONCE datagrams, and a window of time so much of
+the processor; the rest waits in the kernel, which drops what has no room.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import socket
+from collections.abc import Callable, Hashable
+from contextlib import suppress
+from typing import Protocol
+
+from lfield.wire.orders import MAGIC, MAX_DATAGRAM
+
+#: So many datagrams at most are read in a turn of the event loop, and for so many seconds in each WINDOW.
+AT_ONCE, WINDOW, SHARE = 32, 0.02, 0.004
+#: The shortest datagram that may be an order, in bytes: a signature and what is around it.
+SHORTEST = 120
+#: What the kernel holds, in bytes, so that a real order is not lost while others are dropped.
+BUFFER = 1 << 20
+
+
+#: An address as sockets have it.
+Address = tuple[str, int] | tuple[str, int, int, int]
+
+
+class Reader(Protocol):
+    """Where datagrams go."""
+
+    def may_look(self, address: Hashable) -> bool:
+        """Whether a datagram from there is to be read further."""
+
+    def received(self, port: DatagramPort, address: Address, data: bytes) -> None:
+        """A datagram that may be an order."""
+
+
+class DatagramPort:
+    """One socket for datagrams, in the running loop. `busy` is the processor time of this thread."""
+
+    def __init__(self, made: socket.socket, reader: Reader, busy: Callable[[], float]) -> None:
+        self._socket, self._reader, self._busy = made, reader, busy
+        self._loop = asyncio.get_running_loop()
+        self._since, self._spent = self._loop.time(), 0.0
+        self._waiting: asyncio.TimerHandle | None = None
+        self._loop.add_reader(made.fileno(), self._read)
+
+    def send(self, address: Address, data: bytes) -> None:
+        """Send, or drop what the kernel does not take now: the desk repeats."""
+        with suppress(OSError):
+            self._socket.sendto(data, address)
+
+    def close(self) -> None:
+        """Receive no more."""
+        if self._waiting is not None:
+            self._waiting.cancel()
+        self._loop.remove_reader(self._socket.fileno())
+        self._socket.close()
+
+    def _read(self) -> None:
+        now, began = self._loop.time(), self._busy()
+        if now - self._since >= WINDOW:
+            self._since, self._spent = now, 0.0
+        self._take()
+        self._spent += self._busy() - began
+        if self._spent > SHARE:
+            self._loop.remove_reader(self._socket.fileno())
+            self._waiting = self._loop.call_at(self._since + WINDOW, self._go_on)
+
+    def _go_on(self) -> None:
+        self._waiting = None
+        self._loop.add_reader(self._socket.fileno(), self._read)
+
+    def _take(self) -> None:
+        receive, may_look = self._socket.recvfrom, self._reader.may_look
+        for _ in range(AT_ONCE):
+            try:
+                data, address = receive(MAX_DATAGRAM + 1)
+            except OSError:
+                # Nothing is left, or an earlier answer could not be delivered.
+                return
+            if SHORTEST <= len(data) <= MAX_DATAGRAM and data.startswith(MAGIC) and may_look(address):
+                self._reader.received(self, address, data)
+
+
+class Serving:
+    """A server of links, with the socket for datagrams at the same address and port, if there is one."""
+
+    def __init__(self, server: asyncio.Server, port: DatagramPort | None) -> None:
+        self._server, self._port = server, port
+
+    def close(self) -> None:
+        """Take no more links and no more datagrams."""
+        self._server.close()
+        if self._port is not None:
+            self._port.close()
+
+
+def beside(listening: socket.socket) -> socket.socket:
+    """A socket for datagrams at the address and port of a listening one. Raises OSError."""
+    made = socket.socket(listening.family, socket.SOCK_DGRAM)
+    try:
+        if listening.family == socket.AF_INET6:
+            only = listening.getsockopt(socket.IPPROTO_IPV6, socket.IPV6_V6ONLY)
+            made.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_V6ONLY, only)
+        made.bind(listening.getsockname())
+        made.setblocking(False)
+        with suppress(OSError):
+            made.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, BUFFER)
+    except BaseException:
+        made.close()
+        raise
+    return made
+
+
+def network_of(address: Address) -> str:
+    """The network that an address is rationed with: itself, or the first 64 bits of one of IPv6."""
+    host = str(address[0]).partition("%")[0]
+    if ":" not in host:
+        return host
+    packed = socket.inet_pton(socket.AF_INET6, host)
+    if packed.startswith(bytes(10) + b"\xff\xff"):
+        return socket.inet_ntop(socket.AF_INET, packed[12:])
+    return packed[:8].hex()
