@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from lfield.host.team.relays import MOST_IN_A_SECOND
 from lfield.mission.load import load_mission
+from lfield.mobility.relays import MOST_IN_A_SECOND
 from lfield.simulate.fleet import Fleet, copies
 from lfield.simulate.judging.witness import tap_calls
 from lfield.wire.coordinators import Accepted, Inquire, Known
