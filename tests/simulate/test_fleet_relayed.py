@@ -53,7 +53,7 @@ coordinator Walker {{
 """
 #: Seconds after the end of a link within which both hosts know where the coordinator is, and those within
 #: which a silent link is given up.
-KNOWN_WITHIN, NOTICED_WITHIN = 2.0, 5.0
+KNOWN_WITHIN, NOTICED_WITHIN = 2.0, 6.0
 
 
 class Team(Fleet):
@@ -68,7 +68,7 @@ class Team(Fleet):
         self.row = ["a", *path, "b"]
         self.doubts: list[tuple[float, list[str]]] = []
         self.cut_at = float("inf")
-        super().__init__(load_mission(folder / "mission.dL", simulate=True), 1, unreachable_after=4.0)
+        super().__init__(load_mission(folder / "mission.dL", simulate=True), 1)
         # A new start waits for links with all hosts.
         self.later(0.5, lambda: self._only_in_a_row(hosts))
 
@@ -187,7 +187,7 @@ def judged(team: Team, phase: Callable[[Team, Callable[[], None]], None], ways: 
     team.watch_for(noticed + KNOWN_WITHIN - team.now)
     assert team.waiting() == [], f"{[team.known(host) for host in ('a', 'b')]}"
     visits = sum("visit" in text for _, _, text in team.log)
-    team.watch_for(12.0)
+    team.watch_for(16.0)
     assert team.waiting() == []
     assert sum("visit" in text for _, _, text in team.log) > visits
     made = [text for _, _, text in team.log if text.startswith("visit ") and "-1" not in text]
