@@ -8,7 +8,7 @@ from collections.abc import Mapping
 #: together are sent: half of a radio of 57.6 kbit/s, whose other half is for the answers.
 FIRST, RATE = 0.1, 3600.0
 #: The shortest and the longest interval, in seconds, and by what each further one is longer.
-SHORTEST, LONGEST, BACKOFF = 0.04, 1.0, 1.5
+SHORTEST, LONGEST, BACKOFF = 0.04, 1.0, 1.25
 #: A variation of the round trip of less than so many seconds is taken for so many.
 LEAST_VARIATION = 0.01
 #: What is received but not confirmed is asked for after so many intervals.
