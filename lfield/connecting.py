@@ -1,4 +1,8 @@
-"""Connects to whichever address of a host answers first: one that is silent delays no other."""
+"""Connects to whichever address of a host answers first: one that is silent delays no other.
+
+A kernel repeats an unanswered attempt after 1, 2, 4 s ..., so after an outage it may be seconds until the
+next. A caller that has to be there sooner makes attempts of its own, beside those that are under way.
+"""
 
 from __future__ import annotations
 
@@ -8,50 +12,93 @@ import os
 import socket
 from collections import deque
 from collections.abc import Sequence
-from typing import Any, TypeVar
+from typing import Any, Generic, TypeVar
 
 #: Seconds until the next address is tried beside those that have not answered (RFC 8305, section 5).
 STAGGER = 0.25
+
+
+#: Seconds between two attempts at one address for whoever wants them repeated, and for how long each goes on:
+#: so about five packets of 60 bytes go out a second.
+AGAIN, ATTEMPT = 0.5, 2.0
 
 
 #: A family and an address, as sockets have them.
 Found = TypeVar("Found", bound=tuple[int, tuple[Any, ...]])
 
 
-async def first_connected(
-    addresses: Sequence[Found], failures: dict[Found, Exception]
-) -> tuple[socket.socket, Found]:
-    """A connected socket, and to which of the addresses; those that fail are put into `failures`.
+class _Race(Generic[Found]):
+    """Attempts at some addresses, side by side; they go on until there is a socket or none is left.
 
-    Raises the OSError of the last one when all have failed.
+    With `again`, each address that has not failed is tried anew every AGAIN seconds.
     """
-    left, tasks = deque(addresses), dict[asyncio.Task[socket.socket], Found]()
-    winner: asyncio.Task[socket.socket] | None = None
-    try:
-        while left or tasks:
-            if left:
-                found = left.popleft()
-                tasks[asyncio.ensure_future(_connected(*found))] = found
-            done, _ = await asyncio.wait(
-                tasks, timeout=STAGGER if left else None, return_when=asyncio.FIRST_COMPLETED
-            )
-            for task in done:
-                found, error = tasks.pop(task), task.exception()
+
+    def __init__(self, addresses: Sequence[Found], failures: dict[Found, Exception], *, again: bool) -> None:
+        self._left, self._failures, self._again = deque(addresses), failures, again
+        self._tasks: dict[asyncio.Task[socket.socket], tuple[Found, float]] = {}
+        self._now = asyncio.get_running_loop().time
+
+    async def won(self) -> tuple[socket.socket, Found]:
+        """See `first_connected`."""
+        while self._left or self._tasks:
+            if self._left:
+                found = self._left.popleft()
+                self._tasks[asyncio.ensure_future(_connected(*found))] = found, self._now()
+            for task in await self._ended():
+                found, _ = self._tasks.pop(task)
+                if task.cancelled():
+                    continue
+                error = task.exception()
                 if error is None:
-                    winner = task
                     return task.result(), found
                 if not isinstance(error, OSError):
                     raise error
-                failures[found] = error
-        error = next(reversed(failures.values()))
-        raise error
-    finally:
-        for task in tasks:
+                self._fail(found, error)
+        raise next(reversed(self._failures.values()))
+
+    async def _ended(self) -> list[asyncio.Task[socket.socket]]:
+        """The attempts that have ended when it is time for the next."""
+        pause = AGAIN if self._again else None
+        done, _ = await asyncio.wait(
+            self._tasks, timeout=STAGGER if self._left else pause, return_when=asyncio.FIRST_COMPLETED
+        )
+        if not done and not self._left:
+            oldest = self._now() - ATTEMPT
+            for task, (_, began) in self._tasks.items():
+                if began <= oldest:
+                    task.cancel()
+            self._left.extend(dict.fromkeys(found for found, _ in self._tasks.values()))
+        return list(done)
+
+    def _fail(self, found: Found, error: OSError) -> None:
+        """An address has failed: its other attempts would as well."""
+        self._failures[found] = error
+        self._left = deque(other for other in self._left if other != found)
+        for task, (other, _) in self._tasks.items():
+            if other == found:
+                task.cancel()
+
+    def close(self) -> None:
+        """Nobody needs the others any more."""
+        for task in self._tasks:
             task.cancel()
             task.add_done_callback(_close)
-        for task in done if winner is not None else ():
-            if task is not winner:
-                _close(task)
+
+
+async def first_connected(
+    addresses: Sequence[Found], failures: dict[Found, Exception], *, again: bool = False
+) -> tuple[socket.socket, Found]:
+    """A connected socket, and to which of the addresses; those that fail are put into `failures`.
+
+    With `again`, an address that has not answered within AGAIN seconds is tried once more beside the earlier
+    attempts, until one is connected: for whoever waits for a path that may come back at any moment. Raises
+    the OSError of the last address when all have failed.
+    """
+    race = _Race(addresses, failures, again=again)
+    try:
+        return await race.won()
+    finally:
+        race.close()
 
 
 async def _connected(family: int, address: tuple[Any, ...]) -> socket.socket:

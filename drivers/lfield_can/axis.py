@@ -45,6 +45,7 @@ class CanAxis(Device):
         self._news = News(clock)
         wiring = Wiring(binding, bus, sync, clock, self._news, self.note, self.error)
         self.protocol = PROTOCOLS[binding.option("protocol")](wiring)
+        self._overheard = self.protocol.overheard()
         self.malformed = 0
         self._heard_at: float | None = None
         self._last_velocity: float | None = None
@@ -60,7 +61,7 @@ class CanAxis(Device):
 
     def listens(self) -> frozenset[int]:
         """The keys of the frames that it wants."""
-        return self.protocol.ids()
+        return self.protocol.ids() | self._overheard
 
     def commands(self) -> frozenset[int]:
         """The keys that nobody else on the bus may command."""
@@ -68,6 +69,9 @@ class CanAxis(Device):
 
     def on_frame(self, frame: Frame) -> None:
         """A frame of this device; one that makes no sense is counted and dropped."""
+        if frame.id in self._overheard:
+            self.protocol.on_overheard(frame)
+            return
         values = self.protocol.on_frame(frame)
         if values is None:
             self.malformed += 1

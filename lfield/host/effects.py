@@ -36,6 +36,12 @@ class Nearby(Neighbours, Protocol):
         Then `CancelCall` has it done; if not, it goes on to its end.
         """
 
+    def round_trip(self, host: str) -> float | None:
+        """The smoothed round-trip time of the link with a host, in seconds; None before it is measured."""
+
+    def answers_within(self, host: str) -> float | None:
+        """The time within which a linked host answers, in seconds; None while that is not known."""
+
 
 class Write(Struct, frozen=True):
     """Program output, exactly as written."""

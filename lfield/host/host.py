@@ -98,8 +98,9 @@ class Host:
             self.teller,
             options.draw,
         )
+        core, guards, peers = self.core, self.guards, self.peers
         self._visitors = Visitors(
-            self.core, self.guards, self.clock, self._enter, self.status, self.note, self.scribe.all_kept
+            core, guards, peers, clock, self._enter, self.status, self.note, self.scribe.all_kept
         )
         self._datagrams = self._order_datagrams(transport)
         self.changed = asyncio.Event()

@@ -68,7 +68,7 @@ def status_of(
         coordinators=core.coordinators.keeping.on_record(core.mobility.knowledge(), core.name),
         devices=_devices(guards, now),
         links=[
-            *(LinkStatus(host, None) for host in sorted(peers.incarnations)),
+            *(LinkStatus(host, None, *peers.watch.figures(host)) for host in sorted(peers.incarnations)),
             *(LinkStatus(host, _since(now - since)) for host, since in peers.away.items()),
         ],
         directory=core.directory.told(),

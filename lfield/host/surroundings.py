@@ -61,6 +61,14 @@ class Surroundings:
         """When something last came from a host."""
         return self._peers.last_heard(host)
 
+    def round_trip(self, host: str) -> float | None:
+        """The smoothed round-trip time of the link with a host, in seconds."""
+        return self._peers.watch.round_trip(host)
+
+    def answers_within(self, host: str) -> float | None:
+        """The time within which a linked host answers, in seconds."""
+        return self._peers.watch.answers_within(host)
+
     def last(self, device: str, quantity: str) -> Observation | None:
         """The last value of a telemetry quantity, however old."""
         return self._guards.last(device, quantity)

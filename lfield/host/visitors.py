@@ -13,6 +13,7 @@ from lfield.host.core import HostCore
 from lfield.host.stopping.stops import Stops
 from lfield.host.watching.watchers import Watchers
 from lfield.loop import spawn
+from lfield.net.peers import Peers
 from lfield.net.transport import Link
 from lfield.wire.messages import Control
 from lfield.wire.observing import (
@@ -47,6 +48,7 @@ class Visitors:
         self,
         core: HostCore,
         guards: Guards,
+        peers: Peers,
         clock: Clock,
         enter: Callable[[Callable[[], None]], None],
         status: Callable[[], Status],
@@ -55,7 +57,7 @@ class Visitors:
     ) -> None:
         self._core, self._clock = core, clock
         self._enter, self._status, self._note, self._all_kept = enter, status, note, all_kept
-        self.watchers = Watchers(core, guards, clock, status)
+        self.watchers = Watchers(core, guards, clock, status, peers.watch.latest)
         self.stops = Stops(core, guards, enter, note, all_kept)
         #: When somebody last asked how the devices are.
         self._looked = -LOOKING

@@ -17,12 +17,15 @@ from lfield.wire.codec import (
     frame_decoder,
     limits,
 )
+from lfield.wire.messages import Ping, Pong, Refuse
+from lfield.wire.observing import EmergencyStop, EmergencyStopped, Pause
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from lfield.authority.identity import Identity
     from lfield.errors import LfieldError
+    from lfield.net.health.traffic import Counts
     from lfield.net.transport import LinkHandler
     from lfield.wire.coordinators import Transfer
     from lfield.wire.framing import Buffer
@@ -31,8 +34,10 @@ if TYPE_CHECKING:
 #: So many bytes of a message count as one more (`FramedLink.weight`).
 _HEAVY = 1 << 11
 
-#: Coordinators of which it is remembered when they came last.
-_MOST_REMEMBERED = 256
+#: A block that is so many times as long as one may be counts as a crowd by itself.
+_MUCH_TOO_LONG = 16
+#: What is never withheld: nobody sends a coordinator because of it, and some of it makes robots stop.
+_NEVER_WITHHELD = (Ping, Pong, EmergencyStop, EmergencyStopped, Pause, Refuse)
 
 # Up to here one copy is cheaper than a second system call; a larger block is written by itself.
 _ONE_WRITE = 64 * 1024
@@ -50,14 +55,11 @@ class FramedLink:
     def __init__(self, peer: str, max_block: int) -> None:
         self.peer = peer
         self.who: Identity = STRANGER
-        self.closed = False
-        #: How much was taken: a transfer counts one, a message one and one more for each _HEAVY bytes. A
-        #: transfer that did not wait for the answer to the one before counts as a crowd: see `_weigh`.
-        self.weight = 0
-        #: How many reads there were, in which of them the current message began, and in which the last
-        #: transfer of each coordinator was complete.
-        self.reads = self._began = 0
-        self._completed: dict[str, int] = {}
+        self.closed = self.is_answered = False
+        #: What is not sent yet while coordinators and answers are withheld, None while they are not; how much
+        #: has come since then, and which coordinators.
+        self._withheld: list[Buffer] | None = None
+        self._weight, self._came = 0, set[str]()
         self._error: LfieldError | None = None
         self._max_block = max_block
         self._decoder = frame_decoder(self._oversize)
@@ -82,16 +84,28 @@ class FramedLink:
         """See `Link.greeted`."""
         self._decoder.limits = limits(role, self._max_block)
 
+    def expect(self, round_trip: float) -> None:
+        """See `Link.expect`: nothing to do without a socket."""
+
+    def counts(self) -> Counts | None:
+        """See `Link.counts`."""
+        return None
+
     def send(self, message: Message) -> None:
         """Queue a message. Raises AddressError on a closed link."""
         self._require_open()
-        self.write(encode(message))
+        if self._withheld is None or isinstance(message, _NEVER_WITHHELD):
+            self.write(encode(message))
+        else:
+            self._withheld.append(encode(message))
 
     def send_transfer(self, header: Transfer, block: Buffer) -> None:
         """Send a coordinator, at once. Raises AddressError on a closed link."""
         self._require_open()
         head = encode_transfer(header, block)
-        if len(block) <= _ONE_WRITE:
+        if self._withheld is not None:
+            self._withheld += (head, block)
+        elif len(block) <= _ONE_WRITE:
             self.write_now(b"".join((head, block)))
         else:
             self.write_now(head)
@@ -99,17 +113,17 @@ class FramedLink:
 
     def received(self, data: Buffer) -> None:
         """Hand on what the next bytes complete; close on bytes or messages that must not be."""
-        if not self._decoder.unfinished:
-            self._began = self.reads
         frame = self._decoder.whole(data)
         try:
             for kind, payload in self._decoder.feed(data) if frame is None else (frame,):
                 if kind == TRANSFER:
                     header, block = decode_transfer(payload)
-                    self._weigh(header)
+                    if self._withheld is not None:
+                        self._weigh(header)
                     self.handler.on_transfer(self, header, block)
                 else:
-                    self.weight += 1 + len(payload) // _HEAVY
+                    if self._withheld is not None:
+                        self._weight += 1 + len(payload) // _HEAVY
                     self.handler.on_message(self, decode(kind, payload))
                 if self.closed:
                     break
@@ -120,19 +134,31 @@ class FramedLink:
             self.close()
             unexpected(error)
 
+    def withhold(self, *, on: bool) -> None:
+        """Send neither coordinators nor answers from now on, or all of them that wait.
+
+        A link that is lost meanwhile loses them, as it loses what waits in a socket.
+        """
+        waiting, self._withheld = self._withheld, [] if on else None
+        if on:
+            self._weight, self._came = 0, set()
+            self._decoder.skipped = 0
+        for data in waiting or ():
+            self.write(data)
+
     @property
-    def is_amid(self) -> bool:
-        """Whether a message has begun to come and is not complete."""
-        return self._decoder.unfinished
+    def weight(self) -> int:
+        """How much has come since answers are withheld, in messages: 0 while they are not.
+
+        A transfer counts one, a message one and one more for each _HEAVY bytes. A host sends a coordinator
+        again only after an answer, so a second transfer of one counts as a crowd, and of blocks that are too
+        long so many bytes that no host sends them before an answer.
+        """
+        return self._weight + CROWD * self._decoder.skipped // (_MUCH_TOO_LONG * self._max_block)
 
     def _weigh(self, header: Transfer) -> None:
-        """A host sends a coordinator again only after the answer. One that began to come in the read with
-        which the last transfer of the same coordinator was complete was sent before any answer.
-        """
-        self.weight += CROWD if self._completed.get(header.agent) == self._began else 1
-        if len(self._completed) >= _MOST_REMEMBERED:
-            self._completed.clear()
-        self._completed[header.agent] = self.reads
+        self._weight += CROWD if header.agent in self._came else 1
+        self._came.add(header.agent)
 
     def one_by_one(self, data: Buffer) -> Iterator[None]:
         """The same for somebody who may have sent thousands: goes on with one message, or less, at a time."""
@@ -158,7 +184,8 @@ class FramedLink:
         self.handler.on_closed(self, self._error or error)
 
     def _oversize(self, header: Transfer, size: int) -> None:
-        self._weigh(header)
+        if self._withheld is not None:
+            self._weigh(header)
         self.handler.on_oversize(self, header, size)
 
     def _require_open(self) -> None:

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import asyncio
 import random
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Collection, Sequence
 from contextlib import suppress
 
 from lfield.authority.admission import Admission
@@ -21,18 +21,18 @@ from lfield.errors import AddressError, KeysError, WireError
 from lfield.loop import spare_descriptors, spawn
 from lfield.net.greeting import Greeting
 from lfield.net.guests import Guests
+from lfield.net.health.heartbeats import LOST_AFTER, PING_EVERY
+from lfield.net.health.watch import Watch
 from lfield.net.owner import Complaints, Owner, Refusals
 from lfield.net.paths.dialler import Dialler
 from lfield.net.session import Session
 from lfield.net.transport import Link, Listener, Transport
 from lfield.net.waiting.bars import Bars
+from lfield.net.waiting.handshakes import source_of
 from lfield.wire.coordinators import Transfer
 from lfield.wire.framing import Buffer
 from lfield.wire.messages import QUESTION, Control, Hello, Ping, Pong, Revocations
 
-#: A link that is wanted is looked at every so many seconds and, unless something just came in, asked for a
-#: sign of life, by the host that stands first, or else by the other. After so many without, it is given up.
-PING_EVERY, SILENT_FOR = 1.0, 3.0
 #: So many seconds a link is wanted that was needed for once, and one that nobody wants is kept.
 QUIET_FOR = 10.0
 #: After so many seconds without a link both of two neighbours call.
@@ -75,9 +75,12 @@ class Peers:
         #: When each last called, and the hosts that sent too much.
         self._came, self._bars = dict[str, float](), Bars()
         self._links: dict[str, Session] = {}
+        self.watch = Watch(hosts, here, self.now)
         self._tasks, self._listeners = list[asyncio.Task[None]](), list[Listener]()
+        self.on_arrival = lambda *transfer: owner.arrived(*transfer)
+        self.on_oversize = lambda *transfer: owner.too_large(*transfer)
         self._complaints, self.refusals = Complaints(owner.note, self.now), Refusals(hosts)
-        self._ungreeted: Guests[Session] = Guests(MOST_UNGREETED, dice)
+        self._ungreeted: Guests[Session] = Guests(MOST_UNGREETED, dice, lambda one: one.link.is_answered)
         self._observers: Guests[Session] = Guests(MOST_OBSERVERS, dice)
         #: The hosts that have neither greeted yet nor failed to answer a call, and those that have greeted.
         self._unheard = {host for i, host in enumerate(hosts) if i != here}
@@ -157,11 +160,10 @@ class Peers:
     # --- both directions ------------------------------------------------------------------------------
 
     def _called(self, link: Link) -> Session:
-        session = Session(self, dialled=None)
         # The transport hands out messages only when this has returned.
-        session.wait(link)
+        (session := Session(self, dialled=None)).wait(link)
         last = not spare_descriptors(SPARE)
-        pushed = self._ungreeted.enter(session, session.caller, last=last)
+        pushed = self._ungreeted.enter(session, source_of(link.peer), last=last)
         if pushed is not None:
             pushed.turn_away(FULL if last else f"over {MOST_UNGREETED} links to this host have not greeted")
         return session
@@ -182,20 +184,20 @@ class Peers:
         return called and self._clock.monotonic() - since < NEW_FOR
 
     def wants(self, host: str) -> bool:
-        """Whether this host wants to talk to another one now."""
+        """See `Diallers.wants`."""
         return host in self._wanted or self._needed.get(host, 0.0) > self._clock.monotonic()
 
     def _call(self, host: str) -> None:
-        if host in self._links or (self._is_called_by(host) and not self._is_missed(host)):
+        session = self._links.get(host)
+        if session is not None and not session.is_suspected:
+            return
+        # A neighbour that stands before this one calls.
+        if host in self._near and self._numbers[host] < self._here and not self._is_missed(host):
             return
         caller = self._callers.get(host)
         if caller is None or caller.is_over:
             at, note = self._addresses[self._numbers[host]], self._owner.note
             self._callers[host] = Dialler(self, self._transport, self._clock, host, at, note)
-
-    def _is_called_by(self, host: str) -> bool:
-        """Whether a host is a neighbour that stands before this one: it calls."""
-        return host in self._near and self._numbers[host] < self._here
 
     def _is_missed(self, host: str) -> bool:
         """Whether a host has neither had a link nor called for so long that both of the two call: it may not
@@ -220,14 +222,12 @@ class Peers:
             self._all_heard.set()
 
     async def _keep_alive(self) -> None:
-        token = 0
         while True:
             await asyncio.sleep(PING_EVERY)
-            token += 1
             now = self._clock.monotonic()
             self._want(now)
             for host, session in list(self._links.items()):
-                self._look_at(host, session, now, token)
+                self._look_at(host, session, now)
             self.judge()
 
     def _want(self, now: float) -> None:
@@ -244,20 +244,24 @@ class Peers:
         for host in sorted(self._callers.keys() - wanted - self._links.keys()):
             self._callers.pop(host).cancel()
 
-    def _look_at(self, host: str, session: Session, now: float, token: int) -> None:
+    def _look_at(self, host: str, session: Session, now: float) -> None:
         silent = now - session.heard
         if not self.wants(host):
             session.idle = now
             if silent > QUIET_FOR:
                 session.link.close()
                 self.gone(session)
-        elif now - max(session.heard, session.idle) > SILENT_FOR:
-            self._owner.note(f"{host} has been silent for {SILENT_FOR:g} s: giving the link up")
-            # What waits for it would keep the link open for a while yet.
-            session.link.abort()
-            self.gone(session)
-        elif silent >= (0.5 if self._here < self._numbers[host] else 1.5) * PING_EVERY:
-            self.send(host, Ping(token))
+            return
+        silent = now - max(session.heard, session.idle)
+        match self.watch.look(host, silent):
+            case "lost":
+                self._owner.note(f"{host} has been silent for {silent:.1f} s: giving the link up")
+                # What waits for it would keep the link open for a while yet.
+                session.link.abort()
+                self.gone(session)
+            case "suspected":
+                session.suspect()
+                self._call(host)
 
     # --- what sessions report -------------------------------------------------------------------------
 
@@ -280,7 +284,7 @@ class Peers:
         return {
             host: session.hello.incarnation
             for host, session in self._links.items()
-            if session.hello and (self.wants(host) or now - session.heard <= SILENT_FOR)
+            if session.hello and (self.wants(host) or now - session.heard <= LOST_AFTER)
         }
 
     def crossed(self, host: str, came: float) -> bool:
@@ -321,7 +325,7 @@ class Peers:
 
     def known(self, session: Session, hello: Hello) -> None:
         """A link has greeted, and its other side has taken ours."""
-        self._ungreeted.leave(session)
+        self._ungreeted.prove(session, source_of(session.link.peer))
         self._admission.greeted(session.link.who, hello)
         if line := self._admission.line():
             self.complain(line)
@@ -335,10 +339,11 @@ class Peers:
             pushed.turn_away(f"over {MOST_OBSERVERS} observers have links to this host")
 
     def _linked(self, session: Session, hello: Hello) -> None:
+        self.watch.linked(hello.host, session.link)
         old = self._links.get(hello.host)
         self._links[hello.host] = session
         if old and old is not session:
-            old.link.close()
+            old.end()
         self.away.pop(hello.host, None)
         if caller := self._callers.get(hello.host):
             caller.has_failed = False
@@ -348,11 +353,12 @@ class Peers:
 
     def gone(self, session: Session) -> None:
         """A link is closed."""
-        self._ungreeted.leave(session)
-        self._observers.leave(session)
+        for guests in (self._ungreeted, self._observers):
+            guests.leave(session)
         host = session.hello.host if session.hello else ""
         if self._links.get(host) is session:
             del self._links[host]
+            self.watch.unlinked(host)
             self._last_heard[host] = session.heard
             wanted = self.wants(host)
             if wanted:
@@ -363,14 +369,17 @@ class Peers:
 
     def heard(self, session: Session, message: Control) -> None:
         """A message came in on a greeted link."""
+        hello = session.hello
+        assert hello is not None
+        host = hello.host if hello.role == "host" else ""
         if isinstance(message, Ping):
-            session.link.send(Pong(message.token))
+            self.watch.asked(host, session.link, message)
         elif isinstance(message, Revocations):
             self._take_list(message.list)
-        elif not isinstance(message, Pong) or message.token == QUESTION:
-            hello = session.hello
-            assert hello is not None
-            self._owner.received(hello.host if hello.role == "host" else "", message, session.link)
+        elif isinstance(message, Pong) and message.token != QUESTION:
+            self.watch.answered(host, message)
+        else:
+            self._owner.received(host, message, session.link)
 
     def bar(self, host: str) -> float:
         """A host has sent too much: do not accept it for a while; for how many seconds."""
@@ -379,16 +388,6 @@ class Peers:
     def note(self, text: str) -> None:
         """A line for the log."""
         self._owner.note(text)
-
-    @property
-    def on_arrival(self) -> Callable[[str, Transfer, memoryview], None]:
-        """Where coordinators go."""
-        return self._owner.arrived
-
-    @property
-    def on_oversize(self) -> Callable[[str, Transfer, int], None]:
-        """Where the headers of coordinators go that are too large."""
-        return self._owner.too_large
 
     def complain(self, text: str) -> None:
         """A line for the log, once: a caller that is refused calls again every second."""

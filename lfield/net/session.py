@@ -90,6 +90,10 @@ class Session:
         self.heard = self.idle = 0.0
         self.reason = ""
         self.over = asyncio.Event()
+        #: Whether it has been silent for so long that another link is tried beside it.
+        self.is_suspected = False
+        #: Set while that is so, and when it is over.
+        self.doubtful = asyncio.Event()
         self._patience: asyncio.TimerHandle | None = None
 
     @property
@@ -181,6 +185,9 @@ class Session:
         """Something came after the greeting: the other has taken ours."""
         self.heard = self._now()
         if self.linked_at < math.inf:
+            if self.is_suspected:
+                self.is_suspected = False
+                self.doubtful.clear()
             return
         self._relax()
         self.linked_at = self.heard
@@ -225,6 +232,7 @@ class Session:
             self._complain(error.reason if isinstance(error, AddressError) else str(error))
         self._peers.gone(self)
         self.over.set()
+        self.doubtful.set()
 
     def judged(self, verdict: Verdict) -> None:
         """The other is good for this now: for no link, or for less on this one than when it was made."""
@@ -240,6 +248,18 @@ class Session:
         with suppress(AddressError):
             self.link.send(Refuse(reason))
         self.link.close()
+
+    def suspect(self) -> None:
+        """It has been silent for so long that another link is tried beside it, until something comes."""
+        self.is_suspected = True
+        self.doubtful.set()
+
+    def end(self) -> None:
+        """Another link has taken its place. What waits for a silent one would keep it open for a while."""
+        if self.is_suspected:
+            self.link.abort()
+        else:
+            self.link.close()
 
     def _relax(self) -> None:
         if self._patience:

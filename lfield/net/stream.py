@@ -10,11 +10,15 @@ from lfield.authority.identity import STRANGER, Identity
 from lfield.errors import AddressError, LfieldError, OverBudget, WireError
 from lfield.net.door import caller_at, host_at
 from lfield.net.framed import FramedLink
+from lfield.net.health.tcp_options import LEAST_MARGIN, counts, margin, set_margin, set_options
 from lfield.net.transport import join_address
+from lfield.net.waiting.handshakes import source_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
+    from lfield.net.health.tcp_options import Socket
+    from lfield.net.health.traffic import Counts
     from lfield.net.tls import Channel, Tls
     from lfield.net.transport import Link, LinkHandler
     from lfield.net.waiting.reception import Reception
@@ -73,6 +77,9 @@ class StreamLink(FramedLink, asyncio.Protocol):
         self._left: Iterator[None] | None = None
         #: Whether the member is not to be read for now, and whether nothing is read.
         self._is_held = self._is_paused = False
+        #: The socket of a connection over TCP, and the margin of its retransmission time-out, in seconds.
+        self._socket: Socket | None = None
+        self._margin = LEAST_MARGIN
 
     async def ready(self) -> None:
         """Return when messages can be sent. Raises GreetingError, WireError and AddressError."""
@@ -111,7 +118,19 @@ class StreamLink(FramedLink, asyncio.Protocol):
             self._max_pending = FOR_OBSERVERS
             self._transport.set_write_buffer_limits(high=self._max_pending)
 
+    def expect(self, round_trip: float) -> None:
+        """See `Link.expect`: the option is set when it changes by a quarter."""
+        wanted = margin(round_trip)
+        if self._socket is not None and not self.closed and not 0.8 <= wanted / self._margin <= 1.25:
+            self._margin = wanted
+            set_margin(self._socket, wanted)
+
+    def counts(self) -> Counts | None:
+        """See `Link.counts`."""
+        return None if self._socket is None or self.closed else counts(self._socket)
+
     def close(self) -> None:
+        self.withhold(on=False)
         self._flush()
         self.closed = True
         self._transport.close()
@@ -130,14 +149,13 @@ class StreamLink(FramedLink, asyncio.Protocol):
         if made.family == socket.AF_UNIX:
             self.who = host_at(made) if self._calls else caller_at(made)
         else:
-            # A hop is one small write that nobody answers: it must not wait to be joined by more.
-            made.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            set_options(made)
+            self._socket = made
             self.who = self._resident(self.peer)
         self._transport.set_write_buffer_limits(high=self._max_pending)
         self.handler = self._on_link(self)
 
     def data_received(self, data: bytes) -> None:
-        self.reads += 1
         self._meet(self.one_by_one(data))
 
     def _join(self) -> None:
@@ -233,7 +251,8 @@ class TlsLink(StreamLink):
         self._tls = tls
         self._channel: Channel | None = None
         self._proven: asyncio.Future[None] = self._loop.create_future()
-        #: Seconds of a processor that its handshake has taken.
+        #: What its address counts as, and seconds of a processor that its handshake has taken.
+        self._source = ""
         self._spent = 0.0
 
     async def ready(self) -> None:
@@ -241,22 +260,42 @@ class TlsLink(StreamLink):
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         super().connection_made(transport)
+        self._source = source_of(self.peer)
         if self._calls:
             self._channel = self._tls.channel(calls=True)
             self._transport.write(self._channel.take())
 
     def data_received(self, data: bytes) -> None:
-        self.reads += 1
         channel = self._channel = self._channel or self._tls.channel(calls=self._calls)
-        if channel.proven:
-            self._meet(self._opened(channel, data))
+        coming = self._opened(channel, data)
+        if channel.proven or self._calls:
+            self._meet(coming)
             return
+        self._left = coming
+        strangers, is_answered, self.is_answered = self._reception.strangers, self.is_answered, True
+        strangers.enter(self, self._source, is_answered=is_answered)
+        self._read_on()
+
+    def shake_hands(self) -> bool:
+        """See `Shaking.shake_hands`. What comes behind the handshake is met as that of anybody known."""
+        coming, channel = self._left, self._channel
+        if coming is None or channel is None or self.closed:
+            return False
         began = self._reception.busy()
-        self._meet(self._opened(channel, data))
+        more = next(coming, coming) is None
         self._spent += self._reception.busy() - began
-        if channel.proven and channel.who.kind == "host" and not self._calls:
+        if more and not channel.proven:
+            return True
+        self._left = None
+        if channel.proven and channel.who.kind == "host":
             self._join()
             self._reception.members.on_handshake(self, self._member, self._spent)
+        if more and (self._is_rationed or self._is_guest):
+            self._queue(coming)
+        elif more:
+            self._meet(coming)
+        self._read_on()
+        return False
 
     def _opened(self, channel: Channel, data: bytes) -> Iterator[None]:
         """A little at a time: a record may have a thousand messages, or nothing but work."""
@@ -273,6 +312,7 @@ class TlsLink(StreamLink):
                 self.who = channel.who
                 if channel.proven and not self._proven.done():
                     self._proven.set_result(None)
+                    self._reception.strangers.on_proven(self._source)
                 if start + size < len(view):
                     yield
         except LfieldError as error:
@@ -291,6 +331,12 @@ class TlsLink(StreamLink):
     def _say(self, channel: Channel) -> None:
         if data := channel.take():
             self._transport.write(data)
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        self._reception.strangers.leave(self)
+        if not (self._calls or self._proven.done()):
+            self._reception.strangers.on_failed(self._source)
+        super().connection_lost(exc)
 
     def finished(self, error: LfieldError | None) -> None:
         # Now, and not when the collector finds this link: of strangers that would pile up until then.

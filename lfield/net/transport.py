@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
     from lfield.authority.identity import Identity
     from lfield.errors import LfieldError, OverBudget
+    from lfield.net.health.traffic import Counts
     from lfield.wire.coordinators import Transfer
     from lfield.wire.framing import Buffer
     from lfield.wire.messages import Message, Role
@@ -62,6 +63,10 @@ class Link(Protocol):
         """Who is there, as proven. Whoever calls knows it when the link is made; whoever is called may take
         the other for a stranger until the first message has come."""
 
+    @property
+    def is_answered(self) -> bool:
+        """Whether a handshake has begun that the other end began."""
+
     def send(self, message: Message) -> None:
         """Queue a message. Raises AddressError on a closed link."""
 
@@ -74,6 +79,12 @@ class Link(Protocol):
 
         Until then only a greeting or a refusal passes, and anything else closes the link.
         """
+
+    def expect(self, round_trip: float) -> None:
+        """Answers take so many seconds: what is lost is sent again accordingly."""
+
+    def counts(self) -> Counts | None:
+        """What the kernel has counted of its connection; None where it tells nothing."""
 
     def close(self) -> None:
         """Send what is queued, if the peer takes it soon, then close. Closing twice is allowed."""

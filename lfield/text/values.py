@@ -30,3 +30,22 @@ def telemetry_in_words(values: Mapping[str, Shown | None], most: int = SHOWN) ->
     known = [f"{name} {in_words(value)}" for name, value in values.items() if value is not None]
     more = [f"and {len(known) - most} more"] if len(known) > most else []
     return ", ".join([*known[:most], *more])
+
+
+def duration_in_words(seconds: float) -> str:
+    """A short span of time: `0.35 ms`, `214 ms`, `1.2 s`."""
+    if seconds >= 1.0:
+        return f"{seconds:.1f} s"
+    return f"{seconds * 1e3:.0f} ms" if seconds >= 0.01 else f"{seconds * 1e3:.2g} ms"
+
+
+def share_in_words(share: float) -> str:
+    """A part of a whole: `4.8 %`."""
+    return f"{share * 100:.1f} %"
+
+
+def bytes_in_words(count: int) -> str:
+    """A number of bytes in units of 1,000: `310 B`, `12.3 kB`, `1.4 MB`."""
+    if count < 1000:
+        return f"{count} B"
+    return f"{count / 1e3:.1f} kB" if count < 1e6 else f"{count / 1e6:.1f} MB"

@@ -12,7 +12,7 @@ from typing import Annotated, Any, Literal, get_args
 from msgspec import Meta, Struct, to_builtins
 
 from lfield.wire.coordinators import Outcome
-from lfield.wire.fields import Age, Count, Label, MaybeName, Moment, Name, Ordinal, Telemetry, Text
+from lfield.wire.fields import Age, Count, Label, MaybeName, Moment, Name, Ordinal, Share, Telemetry, Text
 
 # --- agents ---------------------------------------------------------------------------------------------
 
@@ -294,6 +294,16 @@ class Standing(Struct, frozen=True, array_like=True, forbid_unknown_fields=True,
     waits: Label
 
 
+class Path(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag="path"):
+    """What is measured of the link with another host: see `LinkStatus`."""
+
+    peer: Name
+    round_trip: Age | None
+    loss: Share | None
+    sent: Count | None
+    received: Count | None
+
+
 #: What changes once and is told once: no watcher that keeps up loses one.
 State = (
     Started
@@ -326,8 +336,8 @@ State = (
     | Ending
     | Logged
 )
-#: Of what is told again and again only the newest counts, for each device and agent.
-Thinned = Measured | Standing
+#: Of what is told again and again only the newest counts, for each device, agent and link.
+Thinned = Measured | Standing | Path
 
 #: The kinds of events, by the word that JSON has for each.
 KINDS: dict[str, type[Struct]] = {

@@ -42,6 +42,8 @@ OrderId = Annotated[bytes, Meta(min_length=16, max_length=16)]
 Index = Annotated[int, Meta(ge=0, le=2**16 - 1)]
 Label = Annotated[str, Meta(max_length=MAX_LABEL)]
 Age = Annotated[float, Meta(ge=0.0, le=OLDEST)]
+#: A part of a whole.
+Share = Annotated[float, Meta(ge=0.0, le=1.0)]
 #: A time in seconds since 1970 UTC, up to the year 9999.
 Moment = Annotated[float, Meta(ge=0.0, le=2.6e11)]
 #: The value of an attribute: a number, a truth, a text, or the members of a set.

@@ -75,6 +75,8 @@ class FrameDecoder:
         self._body: bytearray | None = None  # the payload (or the kept head of one) being collected
         self._filled = 0
         self._missing = 0  # payload bytes still to come
+        #: How many bytes of oversize frames were thrown away; whoever reads it may set it back to 0.
+        self.skipped = 0
 
     @property
     def unfinished(self) -> bool:
@@ -162,6 +164,8 @@ class FrameDecoder:
         self._body[self._filled : self._filled + wanted] = view[position : position + wanted]
         self._filled += wanted
         self._missing -= used
+        if self._length > len(self._body):
+            self.skipped += used
         return position + used
 
     def _complete(self) -> Iterator[tuple[int, memoryview]]:

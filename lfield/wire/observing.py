@@ -22,6 +22,7 @@ from lfield.wire.fields import (
     Name,
     OrderId,
     Ordinal,
+    Share,
     Telemetry,
     Text,
     ToldBy,
@@ -63,10 +64,19 @@ class DeviceStatus(Struct, frozen=True, array_like=True, forbid_unknown_fields=T
 
 
 class LinkStatus(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
-    """Another host: for how long there has been no link to it, None while there is one."""
+    """Another host: for how long there has been no link to it, None while there is one.
+
+    Of a link the smoothed round-trip time in seconds, the share of segments sent that were lost in the last
+    minute, and the bytes sent (the repeated ones too) and received since it was made, with what TLS adds and
+    without headers of TCP and IP; None for what is not measured.
+    """
 
     host: Name
     away: Age | None
+    round_trip: Age | None = None
+    loss: Share | None = None
+    sent: Count | None = None
+    received: Count | None = None
 
 
 class ToldFact(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):

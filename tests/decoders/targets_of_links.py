@@ -55,6 +55,11 @@ class Nothing:
     def last_heard(self, host: str) -> None:
         """Nothing was heard."""
 
+    def round_trip(self, host: str) -> None:
+        """Nothing was measured."""
+
+    answers_within = round_trip
+
     def last(self, device: str, quantity: str) -> None:
         """There is no telemetry."""
 

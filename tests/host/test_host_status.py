@@ -39,7 +39,7 @@ def test_the_status_shows_agents_hops_portals_and_heap(fleet):
         status = await ask(team.network.transport("desk"), "away:8181", STATUS)
         assert status.host == "away"
         assert status.address == "away:8181"
-        assert status.links == [LinkStatus("home", None)]
+        assert status.links == [LinkStatus("home", None, 0.0)]
         assert status.up >= 1.0
         assert (status.program, status.deployment) == (mission.program.digest, mission.team.deployment)
         agents = {agent.id: agent for agent in status.agents}

@@ -1,8 +1,22 @@
 """Who is let in before anything is known of him, and who must go."""
 
 import random
+from collections.abc import Callable
+from functools import partial
+from itertools import cycle
+
+import pytest
 
 from lfield.net.guests import Guests
+from lfield.net.waiting.handshakes import (
+    AT_ONCE,
+    MOST_REMEMBERED,
+    RATION,
+    Handshakes,
+    Sources,
+    Trust,
+    source_of,
+)
 
 
 def test_all_stay_while_there_is_room():
@@ -42,3 +56,127 @@ def test_the_last_that_there_is_room_for_pushes_one_out_and_the_only_one_stays()
     assert guests.enter("b", "field", last=True) == "a"
     assert guests.enter("c", "field") is None
     assert guests.enter("d", "elsewhere", last=True) in ("b", "c")
+
+
+# Handshakes: a flood, and one caller who proves who it is, on virtual time
+
+#: What a part of a handshake costs, and the time between two parts of one: 50 ms over a network.
+COST, TRIP = 7e-4, 0.05
+
+
+class Door:
+    """A host whose processor is at work for nothing but handshakes. Two parts prove who a caller is."""
+
+    def __init__(self, addresses: Callable[[], str], rate: float) -> None:
+        self._next_address, self._rate = addresses, rate
+        self._answered: set[object] = set()
+        self._addresses: dict[object, str] = {}
+        self.guests: Guests[object] = Guests(64, random.Random(1), lambda guest: guest in self._answered)
+        self.handshakes: Handshakes[object] = Handshakes()
+        self.now, self._came, self.busy = 0.0, 0, 0.0
+        self.proven: list[object] = []
+        #: When the second part of a caller comes.
+        self._coming: list[tuple[float, str]] = []
+
+    def call(self, guest: object, address: str) -> None:
+        self._addresses[guest] = address
+        pushed = self.guests.enter(guest, address)
+        if pushed is not None:
+            self._close(pushed)
+        self.handshakes.enter(guest, address, is_answered=False)
+
+    def is_there(self, guest: object) -> bool:
+        return guest in self._addresses
+
+    def run(self, until: float) -> None:
+        while self.now < until:
+            while self._came < self.now * self._rate:
+                self._came += 1
+                self.call(self._came, self._next_address())
+            for due in [due for due in self._coming if due[0] <= self.now]:
+                self._coming.remove(due)
+                if self.is_there(due[1]):
+                    self.handshakes.enter(due[1], self._addresses[due[1]], is_answered=True)
+            guest = self.handshakes.next(self.now)
+            if guest is None:
+                self.now += 1e-4
+                continue
+            self.now += COST
+            self.busy += COST
+            self.handshakes.took(COST, self.now)
+            self.handshakes.leave(guest)
+            self._taken(guest)
+
+    def _taken(self, guest: object) -> None:
+        if guest not in self._answered:
+            self._answered.add(guest)
+            if isinstance(guest, str):
+                self._coming.append((self.now + TRIP, guest))
+            return
+        self.guests.prove(guest, self._addresses[guest])
+        self.handshakes.sources.on_proven(self._addresses.pop(guest))
+        self.proven.append(guest)
+
+    def _close(self, guest: object) -> None:
+        self.handshakes.leave(guest)
+        self.handshakes.sources.on_failed(self._addresses.pop(guest))
+
+
+def takes(door: Door, name: str, address: str) -> float:
+    """How long a caller needs that calls again at once when it is shown out, at most every 0.1 s."""
+    began, attempt = door.now, 0
+    while not any(isinstance(guest, str) and guest.startswith(name) for guest in door.proven):
+        attempt += 1
+        door.call(f"{name} {attempt}", address)
+        while door.is_there(f"{name} {attempt}") and door.now < began + 60.0:
+            door.run(door.now + 0.1)
+        assert door.now < began + 60.0
+    return door.now - began
+
+
+FLOODS = {
+    "one address": lambda: "10.0.0.66",
+    "40 addresses": partial(next, cycle([f"10.0.1.{number}" for number in range(40)])),
+    "1000 addresses": partial(next, cycle([f"10.1.{n // 250}.{n % 250}" for n in range(1000)])),
+}
+
+
+@pytest.mark.parametrize("flood", FLOODS)
+@pytest.mark.parametrize("rate", [500, 3000])
+def test_a_flood_of_handshakes_takes_its_share_and_delays_nobody_at_another_address(flood, rate):
+    door = Door(FLOODS[flood], rate)
+    door.run(3.0)
+    assert door.busy <= RATION * door.now + AT_ONCE + 2 * COST
+    # Two parts, each of which waits for a few of others, and the trip between them.
+    assert takes(door, "stop", "10.9.9.9") <= TRIP + 0.1 + 0.05
+    assert takes(door, "the same again", "10.9.9.9") <= TRIP + 0.1 + 0.05
+
+
+@pytest.mark.parametrize("rate", [500, pytest.param(3000, marks=pytest.mark.few(0))])
+def test_at_the_address_of_a_flood_a_stop_gets_its_turn(rate):
+    door = Door(FLOODS["one address"], rate)
+    door.run(3.0)
+    times = [takes(door, f"stop{number}", "10.0.0.66") for number in range(20)]
+    assert sum(times) / len(times) <= 3.0
+
+
+def test_an_address_is_one_without_its_port_and_of_ipv6_a_network():
+    assert source_of("10.0.0.1:4711") == "10.0.0.1"
+    assert source_of("[2001:db8::1]:1") == source_of("[2001:db8::ffff:2]:9") == "2001:db8::"
+    assert source_of("[2001:db8:0:1::1]:1") != source_of("[2001:db8::1]:1")
+    assert source_of("[fe80::1%eth0]:1") != source_of("[fe80::2%eth0]:1")
+    assert source_of("a command on this computer") == "a command on this computer"
+
+
+def test_no_more_addresses_are_remembered_than_a_bound():
+    sources = Sources()
+    sources.on_proven("10.0.0.1")
+    for number in range(3 * MOST_REMEMBERED):
+        sources.on_failed(f"10.2.{number // 250}.{number % 250}")
+    assert sources.trust("10.0.0.1") is Trust.PROVEN
+    sources.on_failed("10.0.0.1")
+    assert sources.trust("10.0.0.1") is Trust.PROVEN
+    assert sources.trust("10.2.0.0") is Trust.NEW
+    assert sources.trust(f"10.2.{(3 * MOST_REMEMBERED - 1) // 250}.{(3 * MOST_REMEMBERED - 1) % 250}") is (
+        Trust.FAILED
+    )

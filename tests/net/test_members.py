@@ -6,6 +6,7 @@ The links are real ones. Between them are no sockets, and time jumps.
 from __future__ import annotations
 
 import asyncio
+from itertools import cycle
 
 import pytest
 from msgspec.structs import replace
@@ -17,8 +18,9 @@ from lfield.net.stream import MEMBERS_PIECE
 from lfield.net.tls import Channel
 from lfield.net.waiting.rations import ALLOWANCE, OVER_FOR, RATION
 from lfield.net.waiting.reception import SLICE
-from lfield.testing.transport_kit import transfer
+from lfield.testing.transport_kit import MAX_BLOCK, transfer
 from lfield.wire.codec import encode, encode_transfer
+from lfield.wire.coordinators import Accepted
 from lfield.wire.messages import Hello, Ping, Room
 from lfield.wire.observing import EmergencyStop
 
@@ -121,19 +123,51 @@ def test_the_debt_outlives_the_link():
     run_tls(story)
 
 
+class Hops:
+    """Transfers to the host, which answers each when it has worked for it."""
+
+    def __init__(self, inn: Inn, caller, cost: float) -> None:
+        self._inn, self._caller, self._cost, self._read = inn, caller, cost, len(caller.wire.said)
+        caller.hears.on_transfer = self._answer
+        caller.hears.on_oversize = lambda link, header, size: self._answer(link, header, b"")
+
+    def _answer(self, link, header, block) -> None:
+        self._inn.work += self._cost
+        link.send(Accepted(header.agent, 1, 1))
+
+    async def send(self, data: bytes) -> bool:
+        """In reads of CHUNK bytes; whether the link is still open."""
+        for at in range(0, len(data), CHUNK):
+            await asyncio.sleep(1e-3)
+            while not self._caller.wire.reads and not self._caller.wire.closing:
+                await asyncio.sleep(1e-3)
+            if self._caller.wire.closing:
+                return False
+            self._caller.say(data[at : at + CHUNK])
+        return True
+
+    async def answers(self, *agents: str) -> None:
+        """Wait until the host has answered so many transfers."""
+        missing = len(b"".join(encode(Accepted(agent, 1, 1)) for agent in agents))
+        while missing > 0:
+            await asyncio.sleep(1e-3)
+            assert not self._caller.wire.closing
+            missing -= len(b"".join(self._caller._channel.feed(self._caller.wire.said[self._read :])))
+            self._read = len(self._caller.wire.said)
+
+
 def test_a_hop_after_hop_is_neither_held_for_long_nor_closed():
     """One coordinator whose block costs a slow computer a millisecond, as fast as it can."""
 
     async def story(inn):
         bravo, block, began, count = member(inn, "bravo", 1e-3), b"block", inn.loop.time(), 0
-        hop = encode_transfer(transfer(len(block)), block) + block
-        bravo.hears.on_transfer = lambda link, header, taken: bravo.hears.works()
-        while inn.loop.time() < began + 20.0:
-            if bravo.wire.reads:
-                bravo.say(hop)
-                count += 1
-            await asyncio.sleep(1e-3)
-        assert count > 0.8 * 20.0 / 1e-3
+        hop = encode_transfer(replace(transfer(len(block)), agent="tom"), block) + block
+        hops = Hops(inn, bravo, 1e-3)
+        while inn.loop.time() < began + 10.0:
+            await hops.send(hop)
+            await hops.answers("tom")
+            count += 1
+        assert count > 0.8 * 10.0 / 2e-3
         assert not bravo.wire.closing
 
     run_tls(story)
@@ -143,43 +177,57 @@ def test_a_hop_after_hop_is_neither_held_for_long_nor_closed():
 BLOCK, CHUNK = bytes(20 << 10), 8 << 10
 
 
-def large(agent: str = "tom") -> bytes:
-    return encode_transfer(replace(transfer(len(BLOCK)), agent=agent), BLOCK) + BLOCK
+def large(agent: str = "tom", size: int = 20 << 10) -> bytes:
+    return encode_transfer(replace(transfer(size), agent=agent), BLOCK) + bytes(size)
 
 
 def test_large_hops_that_wait_for_answers_are_not_closed():
     """Several coordinators at once, each of which is sent again when its answer has come."""
 
     async def story(inn):
-        bravo, began = member(inn, "bravo"), inn.loop.time()
-        bravo.hears.on_transfer = lambda link, header, taken: setattr(inn, "work", inn.work + 0.02)
-        hops = b"".join(map(large, ("tom", "ann", "eve")))
-        while inn.loop.time() < began + 8.0:
-            for at in range(0, len(hops), CHUNK):
-                while not bravo.wire.reads:
-                    assert not bravo.wire.closing
-                    await asyncio.sleep(0.01)
-                bravo.say(hops[at : at + CHUNK])
-            await asyncio.sleep(0.01)
-        assert inn.work > 3 * RATION * 8.0
+        bravo, began, agents = member(inn, "bravo"), inn.loop.time(), ("tom", "ann", "eve")
+        hops = Hops(inn, bravo, 0.02)
+        while inn.loop.time() < began + 20.0:
+            await hops.send(b"".join(map(large, agents)))
+            await hops.answers(*agents)
+            await asyncio.sleep(0.04)
+        assert inn.work > 8 * RATION * 20.0
         assert not bravo.wire.closing
 
     run_tls(story)
 
 
-def test_large_transfers_without_end_are_closed_after_five_seconds_over_budget():
+@pytest.mark.parametrize("agents", [1, 3, 40])
+def test_large_transfers_without_end_are_closed_after_five_seconds_over_budget(agents):
+    """Of one coordinator, and of several in turn."""
+
     async def story(inn):
-        bravo, began, at = member(inn, "bravo"), inn.loop.time(), 0
-        bravo.hears.on_transfer = lambda link, header, taken: setattr(inn, "work", inn.work + 4e-3)
-        stream = large()
-        while inn.loop.time() < began + 20.0 and not bravo.wire.closing:
-            if bravo.wire.reads:
-                part = stream[at : at + CHUNK]
-                bravo.say(part + stream[: CHUNK - len(part)])
-                at = (at + CHUNK) % len(stream)
-            await asyncio.sleep(1e-3)
-        assert bravo.wire.closing
-        assert inn.loop.time() - began <= OVER_FOR + 3.0
+        bravo, began = member(inn, "bravo"), inn.loop.time()
+        hops, stream = Hops(inn, bravo, 4e-3), b"".join(large(f"c{number}") for number in range(agents))
+        while await hops.send(stream):
+            assert inn.loop.time() < began + 20.0
+        assert OVER_FOR <= inn.loop.time() - began <= OVER_FOR + 3.0
+
+    run_tls(story)
+
+
+@pytest.mark.parametrize("times", [4, 100], ids=["many", "one that never ends"])
+def test_blocks_that_are_too_long_without_end_are_closed_after_five_seconds_over_budget(monkeypatch, times):
+    async def story(inn):
+        bravo, began, size = member(inn, "bravo"), inn.loop.time(), times * MAX_BLOCK
+        hops, feed = Hops(inn, bravo, 0.0), Channel.feed
+        monkeypatch.setattr(
+            Channel, "feed", lambda self, data: (setattr(inn, "work", inn.work + 4e-3), feed(self, data))[1]
+        )
+        for agent in cycle(("tom", "ann", "eve")):
+            await hops.send(encode_transfer(replace(transfer(size), agent=agent), bytes(size)))
+            for _ in range(times):
+                if not await hops.send(bytes(MAX_BLOCK)):
+                    break
+                assert inn.loop.time() < began + 20.0
+            if bravo.wire.closing:
+                break
+        assert OVER_FOR <= inn.loop.time() - began <= OVER_FOR + 3.0
 
     run_tls(story)
 

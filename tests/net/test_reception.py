@@ -14,6 +14,7 @@ from certificates import Team
 from lfield.authority.identity import Identity, Right
 from lfield.net.stream import PIECE, StreamLink, TlsLink, nobody_known
 from lfield.net.tls import Channel, Tls
+from lfield.net.waiting.handshakes import RATION as HANDSHAKES
 from lfield.net.waiting.reception import AT_ONCE, LONGEST, ROUND, Reception
 from lfield.simulate.time import run_jumping
 from lfield.testing.transport_kit import MAX_BLOCK, Recorder, transfer
@@ -333,6 +334,44 @@ def test_no_more_is_decrypted_at_a_time_than_a_piece(monkeypatch):
         monkeypatch.setattr(Channel, "feed", lambda self, data: (fed.append(len(data)), feed(self, data))[1])
         anna.say(encode(HELLO) + FLOOD, record=16 << 10)
         assert max(fed) <= PIECE
+
+    run_tls(story)
+
+
+def test_handshakes_of_strangers_take_their_share_and_leave_every_turn_of_the_loop_short(monkeypatch):
+    """Sixty at once, each part of which costs a slow computer five milliseconds."""
+
+    async def story(inn):
+        first = Channel._first
+        cost = 5e-3
+        monkeypatch.setattr(
+            Channel,
+            "_first",
+            lambda self, data: (setattr(inn, "work", inn.work + cost), first(self, data))[1],
+        )
+        words = Tls(inn.team.person("anna", Right.STOP)).channel(calls=True).take()
+        links = []
+        for _ in range(60):
+            link = TlsLink(MAX_BLOCK, 1 << 20, lambda _: Recorder(), inn.reception, inn.tls, calls=False)
+            wire = Wire(socket.AF_INET)
+            link.connection_made(wire)
+            before = inn.work
+            link.data_received(words)
+            assert inn.work - before <= cost
+            links.append((link, wire))
+        answered = [wire for _, wire in links if wire.said]
+        assert 1 <= len(answered) <= 2
+        assert not links[-1][1].reads
+        began, before = inn.loop.time(), inn.work
+        while not all(wire.said for _, wire in links):
+            turn = inn.work
+            await asyncio.sleep(1e-3)
+            assert inn.work - turn <= 2 * cost
+        assert inn.work - before <= HANDSHAKES * (inn.loop.time() - began) + 2 * cost
+        assert links[-1][1].reads
+        for link, wire in links:
+            link.connection_lost(None)
+            wire.free()
 
     run_tls(story)
 

@@ -33,6 +33,8 @@ BY_TYPE = {
     "Ordinal": st.integers(0, 2**62),
     "Age": SECONDS,
     "Age | None": SECONDS | st.none(),
+    "Share | None": st.floats(0.0, 1.0) | st.none(),
+    "Count | None": st.integers(0, 2**63 - 1) | st.none(),
     "bool": st.booleans(),
     "Outcome": st.sampled_from(["done", "died", "lost", "superseded"]),
     "Literal['log', 'out']": st.sampled_from(["log", "out"]),
@@ -100,7 +102,7 @@ def test_an_event_in_json_reads_well():
 
 
 def test_only_what_is_told_again_and_again_is_telemetry():
-    assert {"measured", "standing"} == TELEMETRY
+    assert {"measured", "standing", "path"} == TELEMETRY
     assert KINDS.keys() > TELEMETRY
 
 

@@ -65,6 +65,13 @@ class AxisProtocol:
         """The ids of all frames that the device sends; no two axes may share one."""
         raise NotImplementedError
 
+    def overheard(self) -> frozenset[int]:
+        """The ids of frames that others may send to the device, which it wants to hear."""
+        return frozenset()
+
+    def on_overheard(self, frame: Frame) -> None:
+        """A frame to the device: no sign of life of it."""
+
     def prepare(self) -> None:
         """Read files, before the bus is opened; may block. Raises DeviceError."""
 

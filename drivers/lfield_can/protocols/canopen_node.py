@@ -21,11 +21,25 @@ from lfield_can.bus.frames import Frame
 from lfield_can.eds import parse_eds
 from lfield_can.files import tell_warnings
 from lfield_can.protocols.cia402_tables import OBJECTS, SDO_REQUEST, name_of
-from lfield_can.protocols.conflict import GAP, RollCall
-from lfield_can.protocols.sdo import ABORT, Done, Effect, Failed, Key, Refused, Result, SdoClient, Send
+from lfield_can.protocols.conflict import GAP, MARK, RollCall
+from lfield_can.protocols.sdo import (
+    ABORT,
+    NOT_WANTED,
+    Done,
+    Effect,
+    Failed,
+    Key,
+    Refused,
+    Result,
+    SdoClient,
+    Send,
+    abort,
+)
 
 #: The request for object 0x1000.
 PING = bytes.fromhex("4000100000000000")
+#: The mark of a round of a roll call.
+_MARK = abort(MARK, NOT_WANTED)
 #: The largest EDS file, in bytes.
 MOST_BYTES = 16 << 20
 #: Abort codes that say that there is no such object, or that it cannot be written.
@@ -72,6 +86,15 @@ class CanopenNode:
             self._roll_call.on_answer(key)
         self._do(self._client.answered(data))
 
+    def on_heard_request(self, data: bytes) -> None:
+        """A frame to the node's SDO server was heard on the bus: somebody else's, or one of this computer."""
+        if self._roll_call is None or (key := _key_of(data)) is None:
+            return
+        if data == _MARK:
+            self._roll_call.on_heard_mark()
+        elif data[0] != ABORT:
+            self._roll_call.on_heard_request(key)
+
     async def read(self, index: int, subindex: int = 0) -> int:
         """The value of an object. Raises DeviceError."""
         variable = self._variable(index, subindex)
@@ -114,6 +137,7 @@ class CanopenNode:
         self._roll_call = roll_call = RollCall()
         try:
             while (key := roll_call.next_key()) is not None:
+                self._send(_MARK)
                 with suppress(DeviceError):  # it has no such object, or the answer was lost
                     await self.read_raw(*key)
                 await asyncio.sleep(GAP)

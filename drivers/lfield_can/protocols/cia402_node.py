@@ -67,6 +67,14 @@ class Cia402Node(AxisProtocol):
         codes = (t.EMERGENCY, *t.TRANSMITTED, t.SDO_ANSWER, t.HEARTBEAT)
         return frozenset(code + self.node for code in codes)
 
+    def overheard(self) -> frozenset[int]:
+        """Requests of other clients, such as a vendor's tool."""
+        return frozenset((t.SDO_REQUEST + self.node,))
+
+    def on_overheard(self, frame: Frame) -> None:
+        """A request, of another client or of this one."""
+        self.objects.on_heard_request(frame.data)
+
     def on_frame(self, frame: Frame) -> Mapping[str, object] | None:
         """One frame of the node."""
         code = frame.id - self.node

@@ -2,9 +2,10 @@
 
 `RollCall` is for nodes that answer. Each of two nodes answers every request, so what was asked about once
 is answered twice. Answers are counted for each round of one set-up. Each round asks about a subindex that no
-node has and no tool reads: the answers of a node to the requests of a vendor's tool or a PLC are about other
-objects, and count for nothing. Answers get lost, so there are several rounds, and a single frame too many
-proves nothing.
+node has. A vendor's tool or a PLC that asks about the same one is heard on the bus, and its answer is
+expected, too. Some adapters return what is sent: each round begins with a mark, an abort that no node answers
+and nobody else sends, so that own requests are not taken for those of others. Answers get lost, so there are
+several rounds, and a single frame too many proves nothing.
 
 `Alternation` is for axes that answer nothing, as those of CANSimple. Two that stand apart send two places in
 turn, farther from each other than any speed explains. A single frame that does not fit is a foreign one, or a
@@ -13,13 +14,15 @@ damaged one, and proves nothing. Two axes at one place cannot be told apart.
 
 from __future__ import annotations
 
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Sequence
 
 from lfield_can.protocols.sdo import Key
 
 #: What is asked about, in turn: of the identity of the node (CiA 301, 7.5.2.19), which has four subindexes.
 ASKED: Sequence[Key] = [(0x1018, subindex) for subindex in range(0x60, 0x6C)]
+#: What the mark of a round is about.
+MARK: Key = (0x1018, 0x6F)
 #: Rounds without any answer too many after which there is one node, and rounds with one too many that prove
 #: a second node. With a quarter of all frames lost, a second node is missed once in a hundred times.
 FEWEST, PROOF = 6, 2
@@ -37,26 +40,37 @@ class RollCall:
     """The rounds of one set-up. A late answer counts for its own round."""
 
     def __init__(self) -> None:
+        # By object: requests that were sent, requests that were heard, and answers.
         self._requests: dict[Key, int] = {}
-        self._answers: dict[Key, int] = {}
+        self._heard: Counter[Key] = Counter()
+        self._answers: Counter[Key] = Counter()
+        self._marks = 0
 
     def next_key(self) -> Key | None:
-        """What to ask about in the next round; None when enough is known."""
+        """What to ask about in the next round, after its mark; None when enough is known."""
         done, surplus = len(self._requests), self._surplus
-        unanswered = sum(1 for key in self._requests if not self._answers.get(key))
+        unanswered = sum(1 for key in self._requests if not self._answers[key])
         if surplus >= PROOF or unanswered >= SILENT or done >= (len(ASKED) if surplus else FEWEST):
             return None
         self._requests[ASKED[done]] = 0
         return ASKED[done]
 
     def on_request(self, key: Key) -> None:
-        """An object was asked about."""
+        """An object was asked about from here."""
         if key in self._requests:
             self._requests[key] += 1
 
+    def on_heard_request(self, key: Key) -> None:
+        """A request was heard on the bus: somebody else's, or what was sent from here."""
+        self._heard[key] += 1
+
+    def on_heard_mark(self) -> None:
+        """A mark was heard: the adapter returns what is sent."""
+        self._marks += 1
+
     def on_answer(self, key: Key) -> None:
         """An answer about an object came."""
-        self._answers[key] = self._answers.get(key, 0) + 1
+        self._answers[key] += 1
 
     @property
     def is_doubled(self) -> bool:
@@ -65,7 +79,12 @@ class RollCall:
 
     @property
     def _surplus(self) -> int:
-        return sum(1 for key, asked in self._requests.items() if self._answers.get(key, 0) > asked)
+        return sum(1 for key, sent in self._requests.items() if self._answers[key] > self._asked(key, sent))
+
+    def _asked(self, key: Key, sent: int) -> int:
+        """How often an object was asked about, by anybody."""
+        returned = sent if 2 * self._marks > len(self._requests) else 0
+        return sent + max(0, self._heard[key] - returned)
 
 
 class Alternation:

@@ -197,7 +197,7 @@ class SdoClient:
 
     def _refuse(self, code: int, why: str) -> list[Effect]:
         """End a transfer that makes no sense; another try would make none either."""
-        return [Send(_abort(self._asked, code)), self._end(Failed(why))]
+        return [Send(abort(self._asked, code)), self._end(Failed(why))]
 
     def _end(self, result: Result) -> Result:
         self._phase = _Phase.IDLE
@@ -208,7 +208,7 @@ class SdoClient:
     def _given_up(self, code: int) -> Send:
         """An answer that may still come must not be believed; the server may forget the transfer."""
         self._doubted[self._asked] = next(self._order)
-        return Send(_abort(self._asked, code))
+        return Send(abort(self._asked, code))
 
     def _probe(self) -> Send:
         """Ask about an object that is in no doubt itself, or else about the one in doubt for longest."""
@@ -230,5 +230,6 @@ def _frame(command: int, key: Key, data: bytes = b"") -> bytes:
     return struct.pack("<BHB", command, *key) + data.ljust(4, b"\0")
 
 
-def _abort(key: Key, code: int) -> bytes:
+def abort(key: Key, code: int) -> bytes:
+    """The frame that ends a transfer, from the client's side: eight bytes."""
     return _frame(ABORT, key, code.to_bytes(4, "little"))

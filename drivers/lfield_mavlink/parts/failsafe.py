@@ -82,11 +82,14 @@ class Failsafe:
         self._released_at = self._vehicle.clock.monotonic()
 
     async def did_the_same(self, what: str, command: int, *values: float) -> None:
-        """It did what this command is for, when so many were lost that PX4 missed its setpoints first.
+        """It may have done what this command is for, when PX4 missed its setpoints before that came.
 
-        It names no reason then. Have the command taken: the mode is ours. Raises DeviceError.
+        It names no reason then, and its text may come later than the mode. If it has acted, have the command
+        taken: the mode is this program's. Raises DeviceError.
         """
-        if self.has_it and set(self.words.split(", ")) <= {"", "Failsafe activated"}:
+        if not self.has_it:
+            self._released_at = self._vehicle.clock.monotonic()
+        elif set(self.words.split(", ")) <= {"", "Failsafe activated"}:
             await self._vehicle.command(what, command, *values)
             self.release()
 
@@ -99,8 +102,9 @@ class Failsafe:
     def _on_heartbeat(self, _: Any) -> None:
         begins = self._state.critical and not self._was_critical
         self._was_critical = self._state.critical
-        if begins:
-            self._notice_late()
+        if begins and not self._notice_late() and self._vehicle.exchange.px4:
+            # PX4 ends it when it takes a command: one that lasts is another one.
+            self._was_critical = False
         self._look()
 
     def _on_current_mode(self, _: Any) -> None:
@@ -127,10 +131,12 @@ class Failsafe:
             self._notice_late()
         self._breaches = breaches
 
-    def _notice_late(self) -> None:
-        """Take in a word of it that may come late."""
-        if self._vehicle.clock.monotonic() - self._released_at > LATE:
-            self._notice()
+    def _notice_late(self) -> bool:
+        """Notice what may come late, and so be of a failsafe that it was released from; whether it was not."""
+        if self._vehicle.clock.monotonic() - self._released_at <= LATE:
+            return False
+        self._notice()
+        return True
 
     def _notice(self) -> None:
         if self._state.armed:

@@ -124,7 +124,7 @@ class Motion:
     def brake(self) -> None:
         """Have no motion go on: PX4's copter stops by the setpoints that it needs anyway."""
         place, profile = self._resting_place, self._vehicle.profile
-        stops = self.stream.runs and self._is_in_guided and profile.by_trajectory and profile.flies
+        stops = self.stream.runs and self._is_fed and profile.by_trajectory and profile.flies
         if stops and place is not None:
             self._begin_stream(Stay(place, STAYS_AT))
         else:
@@ -154,10 +154,13 @@ class Motion:
         profile, state, place = self._vehicle.profile, self._state, self._resting_place
         if not profile.px4 or state.mode != profile.hold or place is None:
             return False
+        fed = self._is_fed
         try:
             await self._begin("hold", reposition(state, place, None))
         except DeviceError:
             return False
+        await self._has_left(fed, "hold", dialect.MAV_CMD_DO_SET_MODE, *profile.mode_command(profile.hold))
+        self.stream.stop()
         return True
 
     async def enter(
@@ -173,15 +176,19 @@ class Motion:
         # Noted before it is known to have worked: a safe state that is tried again must count as ours, and so
         # must the mode that it is still in when the new one is refused.
         self._commanded |= {mode}
-        fed = self._vehicle.profile.px4 and self._is_in_guided
+        fed = self._is_fed
         await self._vehicle.achieve(
             what, lambda: self._state.mode == mode or done(), command, *values, mode=mode
         )
-        if fed:
-            await self.failsafe.did_the_same(what, command, *values)
+        await self._has_left(fed, what, command, *values)
         if mode != self._vehicle.profile.guided:
             self.stream.stop()
         self.claim(mode)
+
+    async def _has_left(self, fed: bool, what: str, command: int, *values: float) -> None:
+        """A mode was entered by a command; if PX4 was `fed` its setpoints before, it may have missed some."""
+        if fed:
+            await self.failsafe.did_the_same(what, command, *values)
 
     # -- motions --------------------------------------------------------------------------------------
 
@@ -243,7 +250,7 @@ class Motion:
             raise
 
     def _begin_stream(self, trajectory: Trajectory) -> None:
-        self._left_at, self._was_in_guided = None, self._is_in_guided
+        self._left_at, self._was_in_guided = None, self._is_in_guided or self._is_fed
         self.stream.follow(trajectory)
 
     def _where(self) -> tuple[Vector | None, Vector]:
@@ -260,6 +267,11 @@ class Motion:
     @property
     def _is_in_guided(self) -> bool:
         return self._state.mode == self._vehicle.profile.guided
+
+    @property
+    def _is_fed(self) -> bool:
+        """Whether PX4 waits for setpoints, also where it has accepted that and has not shown it yet."""
+        return self._vehicle.profile.px4 and (self._is_in_guided or self.guided.is_believed)
 
     def _on_mode(self, _: object) -> None:
         """Note when it leaves OFFBOARD, once it was in it."""

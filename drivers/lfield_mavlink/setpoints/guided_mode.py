@@ -20,6 +20,13 @@ class GuidedMode:
 
     def __init__(self, vehicle: Contact) -> None:
         self._vehicle, self._state = vehicle, vehicle.state
+        #: Whether PX4 has accepted OFFBOARD and has told no mode since.
+        self.is_believed = False
+        vehicle.on(dialect.MAVLINK_MSG_ID_HEARTBEAT, self._on_mode)
+        vehicle.on(dialect.MAVLINK_MSG_ID_CURRENT_MODE, self._on_mode)
+
+    def _on_mode(self, _: object) -> None:
+        self.is_believed = False
 
     @property
     def is_entered(self) -> bool:
@@ -53,6 +60,7 @@ class GuidedMode:
         while not await vehicle.seen(lambda: self.is_entered, pause):
             asked = vehicle.clock.monotonic()
             if asked >= min(accepted + BELIEVED, max(accepted, until)):
+                self.is_believed = True
                 break
             result = await self._ask_for_offboard(asked)
             refused = vehicle.is_unavailable(guided, asked) or result not in (

@@ -18,7 +18,7 @@ from lfield.operator.ask import Answers
 from lfield.operator.descent import SILENT
 from lfield.operator.whereabouts import what_can_be_done
 from lfield.text.suggest import listed
-from lfield.text.values import telemetry_in_words
+from lfield.text.values import bytes_in_words, duration_in_words, share_in_words, telemetry_in_words
 from lfield.text.visible import in_one_line
 from lfield.wire.coordinators import Known
 from lfield.wire.fields import short_digest
@@ -26,6 +26,7 @@ from lfield.wire.observing import (
     BundleStatus,
     DeviceStatus,
     JournalStatus,
+    LinkStatus,
     ParkedStatus,
     StartStatus,
     Status,
@@ -45,9 +46,10 @@ def picture(answers: Answers[Status]) -> Group:
     """The agents of all hosts with the coordinators that have ended or are in doubt, what can be done about
     those that nobody has, then the devices.
 
-    Last are the hosts: how late each was, how long it may be silent, what it keeps, and which bundle it runs.
+    Last are the hosts: how late each was, how long it may be silent, what it keeps, and which bundle it runs;
+    and their links.
     """
-    further = [table for table in (_devices(answers), _hosts(answers)) if table.row_count]
+    further = [table for table in (_devices(answers), _hosts(answers), _links(answers)) if table.row_count]
     waits = [*_starts(answers), *_refused(answers)]
     hints = map(in_one_line, [*_paused(answers), *waits, *_unkept(answers), *what_can_be_done(answers)])
     bundles = ["", *map(in_one_line, _bundles(answers))] if _bundles(answers) else []
@@ -117,6 +119,23 @@ def _hosts(answers: Answers[Status]) -> Table:
             silence = f"{answer.silence:g} s" if answer.silence is not None else ""
             lease = "" if answer.lease is None else f"{answer.lease:.1f} s" if answer.lease else "none"
             _add(shown, host, late, silence, lease, _journal(answer.journal))
+    return shown
+
+
+def _links(answers: Answers[Status]) -> Table:
+    """A row for each end of each link: what is lost on the way there may arrive on the way back."""
+    shown = Table(box=None, pad_edge=False)
+    for column in ("HOST", "LINK WITH", "ROUND TRIP", "LOSS", "SENT", "RECEIVED"):
+        shown.add_column(column, justify="left" if column in ("HOST", "LINK WITH") else "right")
+    for host, answer in answers.items():
+        for link in () if isinstance(answer, LfieldError) else answer.links:
+            if link.away is not None:
+                _add(shown, host, link.host, f"none for {link.away:.0f} s", "", "", "")
+                continue
+            took = "" if link.round_trip is None else duration_in_words(link.round_trip)
+            loss = "" if link.loss is None else share_in_words(link.loss)
+            both = ("" if count is None else bytes_in_words(count) for count in (link.sent, link.received))
+            _add(shown, host, link.host, took, loss, *both)
     return shown
 
 
@@ -252,6 +271,7 @@ def _status(status: Status) -> dict[str, Any]:
         "coordinators": [_coordinator(known) for known in status.coordinators],
         "linked": [link.host for link in status.links if link.away is None],
         "away": {link.host: link.away for link in status.links if link.away is not None},
+        "links": {link.host: _link(link) for link in status.links if link.away is None},
         "devices": {device.name: device.telemetry for device in status.devices},
         "silences": {device.name: device.silent for device in status.devices if device.silent is not None},
         "latched": {device.name: device.latched for device in status.devices if device.latched},
@@ -278,6 +298,10 @@ def _bundle(run: BundleStatus | None) -> dict[str, Any] | None:
     return (
         None if run is None else {"digest": short_digest(run.digest), "signed_by": run.by, "signed": run.at}
     )
+
+
+def _link(link: LinkStatus) -> dict[str, Any]:
+    return {name: getattr(link, name) for name in ("round_trip", "loss", "sent", "received")}
 
 
 _PARKED = ("generation", "hops", "state", "where")

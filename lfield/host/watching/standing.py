@@ -2,23 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 
 from lfield.devices.guards import Guards
 from lfield.host.core import HostCore
 from lfield.host.sight.watcher import Sample
 from lfield.host.status import LIVELIEST, state_of, telemetry_of
+from lfield.net.health.watch import Figures
 from lfield.vm.agent import Agent
 from lfield.vm.inspect import traceback
 from lfield.vm.memory.layout import CALLING, THREAD_ID, THREAD_STATE
 from lfield.vm.memory.threads import threads
-from lfield.wire.events import Measured, Standing, Thinned
+from lfield.wire.events import Measured, Path, Standing, Thinned
 from lfield.wire.fields import MAX_LABEL, age, clip
 
 
-def sample(core: HostCore, guards: Guards, now: float) -> Sample:
-    """Every agent that has a thread, and every device that was ever heard."""
-    return dict([*_agents(core), *_devices(guards, now)])
+def sample(core: HostCore, guards: Guards, links: Mapping[str, Figures], now: float) -> Sample:
+    """Every agent that has a thread, every device that was ever heard, and every link."""
+    return dict([*_agents(core), *_devices(guards, now), *_links(links)])
 
 
 def _agents(core: HostCore) -> Iterator[tuple[str, tuple[object, Thinned]]]:
@@ -59,3 +60,8 @@ def _devices(guards: Guards, now: float) -> Iterator[tuple[str, tuple[object, Th
             measured = Measured(clip(name, MAX_LABEL), telemetry_of(values), age(now - when))
             # No agent's name has a space.
             yield f"device {name}", (when, measured)
+
+
+def _links(links: Mapping[str, Figures]) -> Iterator[tuple[str, tuple[object, Thinned]]]:
+    for host, figures in links.items():
+        yield f"link {host}", (figures, Path(host, *figures))

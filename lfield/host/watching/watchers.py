@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 from lfield.clock import Clock
 from lfield.devices.guards import Guards
@@ -13,6 +13,7 @@ from lfield.host.core import HostCore
 from lfield.host.sight.portals import Portals
 from lfield.host.sight.watcher import PATIENCE, Watcher
 from lfield.host.watching.standing import sample
+from lfield.net.health.watch import Figures
 from lfield.net.transport import Link
 from lfield.wire.messages import Refuse
 from lfield.wire.observing import Status
@@ -39,10 +40,18 @@ def giving_way(watching: Sequence[str], comes: str) -> int | None:
 
 
 class Watchers:
-    """Whoever watches a host, by link; `status` is what a snapshot shows."""
+    """Whoever watches a host, by link; `status` is for snapshots, `links` are the figures of its links."""
 
-    def __init__(self, core: HostCore, guards: Guards, clock: Clock, status: Callable[[], Status]) -> None:
+    def __init__(
+        self,
+        core: HostCore,
+        guards: Guards,
+        clock: Clock,
+        status: Callable[[], Status],
+        links: Mapping[str, Figures],
+    ) -> None:
         self._core, self._guards, self._clock, self._status = core, guards, clock, status
+        self._figures = links
         self._teller = core.teller
         self._portals = Portals(core.teller, core.machine)
         self._watchers: dict[Link, Watcher] = {}
@@ -115,7 +124,7 @@ class Watchers:
             self._look_at_offers()
         dues = [watcher.sample_due for watcher in self._watchers.values() if watcher.sample_due is not None]
         if dues and up >= min(dues):
-            now = sample(self._core, self._guards, self._clock.monotonic())
+            now = sample(self._core, self._guards, self._figures, self._clock.monotonic())
             for watcher in self._watchers.values():
                 watcher.sample(now, at, up)
         for link, watcher in list(self._watchers.items()):

@@ -285,7 +285,7 @@ def _is_word(s: TokenStream) -> bool:
     following = s.ahead(1)
     if following.kind is Kind.NAME:
         return s.ahead(2).text in ("(", ".")
-    return following.kind is Kind.KEYWORD or _block_ahead(s) > 0
+    return following.kind is Kind.KEYWORD or _block_ahead(s) > 0 or s.lacks_parenthesis()
 
 
 def _simple(s: TokenStream) -> Stmt:

@@ -27,6 +27,13 @@ MEMBER_KEYWORDS = ("portal", "private", "public", "init", *UNIT_KEYWORDS)
 STATEMENT_KEYWORDS = ("if", "while", "for", "break", "continue", "return", "try", "throw", *PRIMITIVES)
 
 
+#: The kinds of the last token of an operand, and its texts where those are no names or literals.
+_OPERANDS, _OPERAND_ENDS = (
+    (Kind.NAME, Kind.INT, Kind.REAL, Kind.STRING),
+    (")", "this", "true", "false", "null"),
+)
+
+
 class Recover(Exception):
     """A syntax error that is reported: unwind to the next place where parsing can go on."""
 
@@ -81,6 +88,21 @@ class TokenStream:
     def first_on_line(self) -> bool:
         """Whether the current token begins its line."""
         return self._at == 0 or self.current.span.line > self.previous.span.line
+
+    def lacks_parenthesis(self) -> bool:
+        """Whether a block or a statement begins in the parentheses behind the word here: a `)` is missing."""
+        ahead, depth = 1, 0
+        while (depth := depth + {"(": 1, ")": -1}.get(self.ahead(ahead).text, 0)) > 0:
+            left, ahead = self.ahead(ahead), ahead + 1
+            right = self.ahead(ahead)
+            # `new int[] {` begins the elements of an array.
+            is_index = left.text == "]" and self.ahead(ahead - 2).text != "["
+            is_operand = left.kind in _OPERANDS or left.text in _OPERAND_ENDS or is_index
+            if is_operand and (right.text == "{" or right.kind in (Kind.NAME, Kind.KEYWORD)):
+                return True
+            if right.kind is Kind.END or right.text == ";":
+                return False
+        return False
 
     def advance(self) -> Token:
         """Take the current token."""

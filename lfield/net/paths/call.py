@@ -40,7 +40,7 @@ class Call:
         self._count = len(found)
         self._left = sorted(found, key=lambda at: at in self._unanswered)
         while True:
-            made, at = await first_connected(self._left, self._failures)
+            made, at = await first_connected(self._left, self._failures, again=True)
             self._left = [other for other in self._left if other != at and other not in self._failures]
             _, self.link = await asyncio.get_running_loop().create_connection(self._calling, sock=made)
             try:

@@ -15,9 +15,9 @@ if TYPE_CHECKING:
 
     from lfield.net.transport import Transport
 
-#: Seconds between two attempts to reach a host: the first wait, and the longest. With the bound of an attempt
-#: and of a greeting this keeps every reconnection within 10 s after the path works again.
-FIRST_RETRY, LAST_RETRY = 0.05, 1.0
+#: Seconds between two attempts to reach a host: the first wait, and the longest. An attempt that nobody
+#: answers repeats itself (`lfield.connecting`), so one begins at most this long after a path works again.
+FIRST_RETRY, LAST_RETRY = 0.05, 0.5
 #: A host that has been called for less long may just not be up yet, which is no news.
 NEWS_AFTER = 3.0
 
@@ -29,7 +29,7 @@ class Diallers(Sessions, Protocol):
         """Whether a link with a host is wanted now."""
 
     def link_of(self, host: str) -> Session | None:
-        """The link that counts, if there is one."""
+        """The link that counts, if there is one. One that is suspected does until another is made."""
 
     def called(self, host: str) -> None:
         """An attempt is over."""
@@ -70,8 +70,9 @@ class Dialler:
     async def _run(self) -> None:
         wait = FIRST_RETRY
         while self._owner.wants(self._host):
-            if there := self._owner.link_of(self._host):
-                await there.over.wait()
+            there = self._owner.link_of(self._host)
+            if there is not None and not there.is_suspected:
+                await there.doubtful.wait()
                 wait = FIRST_RETRY
                 self._begin_anew()
             elif barred := self._owner.barred_for(self._host):
@@ -92,8 +93,9 @@ class Dialler:
         """Call, and stay until the link is over; why it is, or was never there."""
         try:
             link = await self._transport.connect(self._address, session)
-            if self._owner.link_of(self._host) not in (None, session):
-                # It has called meanwhile.
+            there = self._owner.link_of(self._host)
+            if there not in (None, session) and not there.is_suspected:
+                # It has called meanwhile, or the link that was silent has woken up.
                 link.close()
             else:
                 session.begin(link)

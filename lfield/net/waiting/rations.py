@@ -4,11 +4,13 @@ A member is a host of the team. Its account is a leaky bucket: the time that its
 RATION of the time that has passed. Over ALLOWANCE the member is over its budget. Then:
 
 - Messages of members within their budgets come first (`Standing.OVER`).
-- Once every PROBE_EVERY its link is not read for PROBE. A host that waits for answers before it sends on, as
-  with every hop, has sent only a few messages by then. A host that sends without waiting has sent a crowd;
-  of large transfers two of one coordinator, the second before an answer to the first, are one.
+- PROBE_EVERY after the last probe it is probed again: coordinators and answers for it are withheld until its
+  messages have taken next to nothing for PROBE. A host that waits for answers, as with every hop, then soon
+  has nothing more to send: of each coordinator at most one transfer is under way. A host that sends without
+  waiting continues, and what comes during the probe is a crowd. `FramedLink.weight` counts it: a second
+  transfer of a coordinator whose first has no answer is a crowd by itself.
 - A member with a crowd is held to its ration (`Standing.HELD`), and after OVER_FOR its link is to be closed
-  (`Standing.FLOOD`).
+  (`Standing.FLOOD`), unless the probe ends first.
 
 So a hop costs what it costs on any computer, however slow, and is never the reason for a closed link.
 Pure: time and processing time are parameters, both in seconds.
@@ -28,12 +30,14 @@ ALLOWANCE, BEYOND = 0.5, 0.05
 PORTION = 0.002
 #: A link is closed after so long over budget.
 OVER_FOR = 5.0
-#: How often a member over budget is not read for a while, and for how long.
+#: How long after the end of a probe the next one begins. A probe ends when the messages of the member have
+#: taken no more than QUIET for so many seconds.
 PROBE_EVERY, PROBE = 1.0, 0.1
+QUIET = RATION * PROBE
 #: The longest time for which a member is not read: its peer must not take the link for a dead one.
 LONGEST_HOLD = 0.5
-#: So many messages in one read are a crowd; a long message counts as several (`FramedLink.weight`).
-CROWD = 64
+#: So many messages during a probe are a crowd; a long message counts as several (`FramedLink.weight`).
+CROWD = 128
 
 
 class Standing(Enum):
@@ -55,17 +59,16 @@ class _Account:
     #: Processing time that is not paid off yet.
     level: float = 0.0
     held_until: float = -math.inf
+    #: When the next probe may begin; when the present one ends if no more comes, and what came since that
+    #: was set last took, in seconds.
     probe_due: float = -math.inf
-    #: Whether a crowd came in one read, and since when the member has been over budget with one.
+    probe_ends: float | None = None
+    probed: float = 0.0
+    #: Whether a crowd came, and since when the member has been over budget with one.
     is_crowded: bool = False
     flooding_since: float = math.inf
     #: Since when it has been over budget and made new links.
     connecting_since: float = math.inf
-    #: Whether it was held since its last read began, and before the one that is being taken.
-    was_held: bool = False
-    is_after_hold: bool = False
-    #: The weight of what came since the last hold, as far as that belongs together.
-    after_hold: int = 0
     #: Since when it has been over its budget, and whether that is reported.
     over_since: float = math.inf
     is_reported: bool = False
@@ -78,24 +81,27 @@ class Rations:
         self._accounts: dict[str, _Account] = {}
 
     def on_work(self, member: str, seconds: float, now: float, weight: int = 0) -> Standing:
-        """Messages of a member have taken `seconds`; what was taken of its read so far has that `weight`."""
+        """Messages of a member have taken `seconds`; `weight` is what has come of it during the probe."""
         account = self._account(member, now)
         account.level = min(account.level + max(0.0, seconds), ALLOWANCE + BEYOND)
-        if weight >= CROWD:
-            account.is_crowded = True
+        if account.probe_ends is not None:
+            self._on_probed(account, seconds, now, weight)
         if account.level <= ALLOWANCE:
             return Standing.WITHIN
         account.over_since = min(account.over_since, now)
-        if account.is_crowded:
-            account.flooding_since = min(account.flooding_since, now)
-            if now - account.flooding_since >= OVER_FOR:
-                return Standing.FLOOD
-            debt = (account.level - ALLOWANCE + PORTION) / RATION
-            return self._hold(account, now + min(debt, LONGEST_HOLD))
-        if now >= account.probe_due:
-            account.probe_due = now + PROBE_EVERY
-            return self._hold(account, now + PROBE)
-        return Standing.OVER
+        if account.probe_ends is None and now >= account.probe_due:
+            account.probe_ends, account.probed = now + PROBE, 0.0
+        if not account.is_crowded:
+            return Standing.OVER
+        account.flooding_since = min(account.flooding_since, now)
+        if now - account.flooding_since >= OVER_FOR:
+            return Standing.FLOOD
+        debt = (account.level - ALLOWANCE + PORTION) / RATION
+        account.held_until = now + min(debt, LONGEST_HOLD)
+        if account.probe_ends is not None:
+            # Only while it is read can it show that it sends nothing.
+            account.probe_ends, account.probed = account.held_until + PROBE, 0.0
+        return Standing.HELD
 
     def on_handshake(self, member: str, seconds: float, now: float) -> Standing:
         """A new link of a member is proven. Who makes links while it is over its budget sends a crowd."""
@@ -107,29 +113,22 @@ class Rations:
         account.connecting_since = min(account.connecting_since, now)
         return Standing.FLOOD if now - account.connecting_since >= OVER_FOR else Standing.OVER
 
-    def on_read(self, member: str, now: float) -> None:
-        """Bytes of a member have come, of which nothing was taken yet."""
-        account = self._account(member, now)
-        account.is_after_hold, account.was_held = account.was_held, False
+    def probe_ends(self, member: str) -> float | None:
+        """When the probe of a member ends if no more comes, in seconds of the same clock; None without."""
+        account = self._accounts.get(member)
+        return None if account is None else account.probe_ends
 
-    def on_drained(self, member: str, weight: int, now: float, *, is_amid: bool = False) -> None:
-        """All of a read was taken. A small one after a hold shows that the member waits for answers.
-
-        Where it ends amid a message, the next read belongs to it.
-        """
+    def on_probe_end(self, member: str, now: float) -> None:
+        """The time that `probe_ends` has told is over: the member has shown that it waits for answers."""
         account = self._account(member, now)
-        if not account.is_after_hold:
-            return
-        account.after_hold += weight
-        if is_amid:
-            account.was_held = True
-        elif account.after_hold < CROWD:
-            account.is_crowded, account.flooding_since = False, math.inf
+        account.probe_ends, account.probe_due = None, now + PROBE_EVERY
+        account.is_crowded, account.flooding_since = False, math.inf
 
     def on_closed(self, member: str, now: float) -> None:
         """Its link was closed for a flood: the next link begins with the same debt, and a new term."""
         account = self._account(member, now)
         account.flooding_since = account.connecting_since = math.inf
+        account.probe_ends, account.probe_due = None, -math.inf
 
     def held_until(self, member: str) -> float:
         """When a member is to be read on, in seconds of the same clock."""
@@ -144,9 +143,11 @@ class Rations:
         return is_news
 
     @staticmethod
-    def _hold(account: _Account, until: float) -> Standing:
-        account.held_until, account.was_held, account.after_hold = until, True, 0
-        return Standing.HELD
+    def _on_probed(account: _Account, seconds: float, now: float, weight: int) -> None:
+        account.is_crowded = account.is_crowded or weight >= CROWD
+        account.probed += seconds
+        if account.probed > QUIET:
+            account.probe_ends, account.probed = now + PROBE, 0.0
 
     def _account(self, member: str, now: float) -> _Account:
         """The account of a member as it is now."""

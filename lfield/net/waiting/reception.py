@@ -12,10 +12,10 @@ import asyncio
 import math
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Protocol
 
 from lfield.errors import OverBudget
+from lfield.net.waiting.handshakes import Handshakes
 from lfield.net.waiting.rations import OVER_FOR, RATION, Rations, Standing
 from lfield.net.waiting.turns import Rank, Turns
 
@@ -37,30 +37,28 @@ class Waiting(Protocol):
         """Take one message, or a part of one; whether there is more."""
 
 
+class Shaking(Protocol):
+    """A link whose other end has not proven who it is."""
+
+    def shake_hands(self) -> bool:
+        """Take a part of its handshake that has come; whether another part of it has."""
+
+
 class MemberLink(Waiting, Protocol):
     """A link to a member."""
 
     @property
     def weight(self) -> int:
-        """How much was taken since the link was made: see `FramedLink.weight`."""
+        """How much has come since answers are withheld: see `FramedLink.weight`."""
 
-    @property
-    def is_amid(self) -> bool:
-        """Whether a message has begun to come and is not complete."""
+    def withhold(self, *, on: bool) -> None:
+        """Send neither coordinators nor answers from now on, or all of them that wait."""
 
     def hold(self, *, on: bool) -> None:
         """Stop reading, or read again once nothing waits."""
 
     def on_excess(self, error: OverBudget) -> None:
         """The member is over its budget. Where `error.closes`, end the link."""
-
-
-@dataclass(slots=True)
-class _Read:
-    """What has come of a member, and the weight of its link when nothing of it was taken yet."""
-
-    member: str
-    weight: int
 
 
 class Reception:
@@ -77,6 +75,7 @@ class Reception:
         self.busy = busy
         self._timer: asyncio.TimerHandle | None = None
         self.members = Members(busy, exempt)
+        self.strangers = Strangers(busy)
 
     def enter(self, guest: Waiting, person: str) -> None:
         """There is something to take of a guest of this person that did not wait."""
@@ -106,6 +105,44 @@ class Reception:
             self._timer = asyncio.get_running_loop().call_later(ROUND, self._again)
 
 
+class Strangers:
+    """Continues handshakes of callers that have not proven who they are, as their budget allows."""
+
+    def __init__(self, busy: Callable[[], float]) -> None:
+        self._busy, self._handshakes = busy, Handshakes[Shaking]()
+        self._timer: asyncio.TimerHandle | None = None
+
+    def enter(self, link: Shaking, source: str, *, is_answered: bool) -> None:
+        """A part of a handshake has come of a link that did not wait."""
+        self._handshakes.enter(link, source, is_answered=is_answered)
+        if self._timer is None:
+            self._take()
+
+    def leave(self, link: Shaking) -> None:
+        """A link has gone; it may not have waited."""
+        self._handshakes.leave(link)
+
+    def on_proven(self, source: str) -> None:
+        """Who is at an address has proven who it is."""
+        self._handshakes.sources.on_proven(source)
+
+    def on_failed(self, source: str) -> None:
+        """A connection from there ended before anybody had proven who it is."""
+        self._handshakes.sources.on_failed(source)
+
+    def _take(self) -> None:
+        loop, self._timer = asyncio.get_running_loop(), None
+        while (link := self._handshakes.next(loop.time())) is not None:
+            began = self._busy()
+            if not link.shake_hands():
+                self._handshakes.leave(link)
+            self._handshakes.took(self._busy() - began, loop.time())
+        due = self._handshakes.due(loop.time())
+        if due < math.inf:
+            # Timers of some loops are early by up to a millisecond.
+            self._timer = loop.call_at(due + PAUSE, self._take)
+
+
 class Members:
     """Takes messages of members as their rations allow, in slices of the event loop. The clocks as above."""
 
@@ -115,10 +152,12 @@ class Members:
         self._rations = Rations()
         #: The open links of each member.
         self._links: dict[str, set[MemberLink]] = {}
-        self._reads: dict[MemberLink, _Read] = {}
+        self._waiting: dict[MemberLink, str] = {}
         #: When a message was last taken, and the next slice where one is planned.
         self._taken_at = -math.inf
         self._next_slice: asyncio.Handle | None = None
+        #: The members that are probed, with the timers for the ends of their probes.
+        self._probes: dict[str, asyncio.TimerHandle] = {}
         #: The members that are not read now, and the timer for the first that will be.
         self._held: set[str] = set()
         self._release: asyncio.TimerHandle | None = None
@@ -126,6 +165,8 @@ class Members:
     def join(self, link: MemberLink, member: str) -> None:
         """A link has proven that it is of a member."""
         self._links.setdefault(member, set()).add(link)
+        if member in self._probes:
+            link.withhold(on=True)
         if member in self._held:
             link.hold(on=True)
 
@@ -136,18 +177,16 @@ class Members:
 
     def enter(self, link: MemberLink, member: str) -> None:
         """There is something to take of a link that did not wait."""
-        now = asyncio.get_running_loop().time()
-        if self._next_slice is None and now - self._taken_at >= PAUSE:
+        if self._next_slice is None and asyncio.get_running_loop().time() - self._taken_at >= PAUSE:
             self._turns.again()
-        self._rations.on_read(member, now)
-        self._reads[link] = _Read(member, link.weight)
+        self._waiting[link] = member
         self._turns.enter(link, member)
         self._take()
 
     def leave(self, link: MemberLink, member: str) -> None:
         """A link has gone; it may not have waited."""
         self._turns.leave(link)
-        self._reads.pop(link, None)
+        self._waiting.pop(link, None)
         links = self._links.get(member, set())
         links.discard(link)
         if not links:
@@ -172,22 +211,25 @@ class Members:
         self._take()
 
     def _on_taken(self, link: MemberLink, seconds: float, now: float, *, more: bool) -> None:
-        read = self._reads.get(link)
-        if read is None:
+        member = self._waiting.get(link)
+        if member is None:
             # It has gone meanwhile.
             return
-        weight = link.weight - read.weight
-        standing = self._rations.on_work(read.member, seconds, now, weight)
+        weight = link.weight if member in self._probes else 0
+        standing = self._rations.on_work(member, seconds, now, weight)
         if not more:
             self._turns.leave(link)
-            del self._reads[link]
-            self._rations.on_drained(read.member, weight, now, is_amid=link.is_amid)
-        self._judge(link, read.member, standing, now)
+            del self._waiting[link]
+        self._judge(link, member, standing, now)
 
     def _judge(self, link: MemberLink, member: str, standing: Standing, now: float) -> None:
         if standing is Standing.WITHIN:
             self._turns.rank(member, Rank.FIRST)
             return
+        if member not in self._probes and self._rations.probe_ends(member) is not None:
+            for each in self._links.get(member, ()):
+                each.withhold(on=True)
+            self._plan_probe_end(member)
         if standing is Standing.FLOOD:
             self._rations.on_closed(member, now)
             link.on_excess(OverBudget(RATION, OVER_FOR, closes=True))
@@ -198,6 +240,19 @@ class Members:
             self._hold(member)
         elif member not in self._held:
             self._turns.rank(member, Rank.BEHIND)
+
+    def _plan_probe_end(self, member: str) -> None:
+        """Have the answers for a member sent when it has shown that it waits for them, or was closed."""
+        loop, ends = asyncio.get_running_loop(), self._rations.probe_ends(member)
+        # Timers of some loops are early by up to a millisecond.
+        if ends is not None and ends > loop.time() + PAUSE:
+            self._probes[member] = loop.call_at(ends, self._plan_probe_end, member)
+            return
+        if ends is not None:
+            self._rations.on_probe_end(member, loop.time())
+        self._probes.pop(member, None)
+        for link in list(self._links.get(member, ())):
+            link.withhold(on=False)
 
     def _hold(self, member: str) -> None:
         self._held.add(member)

@@ -39,17 +39,29 @@ class Earth(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
+class LinkSeen:
+    """What a host measures of a link: the round trip in seconds, the share of what it sends that is lost, and
+    the bytes sent and received since the link was made."""
+
+    round_trip: float | None = None
+    loss: float | None = None
+    sent: int | None = None
+    received: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
 class HostSeen:
     """A host. `linked`: we hear it now; else `trouble` says why not, and what it told is as old as `age`.
 
     `age` is None for one that was never heard. `ending` is why it ends or has ended, where it said so.
-    `stopped` is the reason of an emergency stop that stands there, '' for none. `reaches` are the hosts that
-    it has links with, `away` those it misses, for how many seconds. Coordinators that are not started yet
-    wait for the hosts in `waits_for`, or for an operator's command because of `start_held`; `refused` are the
-    hosts that it cannot be linked with, each with the reason. `bundle` are the first digits of the digest of
-    the bundle that it runs, '' for none. `lost` says by kind how much of what happened
-    there this computer will never hear of, since it looks. `clock` is what its clock shows more than that of
-    this computer (s), and `clock_within` how sure that is. `place` is what the devices file says.
+    `stopped` is the reason of an emergency stop that stands there, '' for none. `links` are the hosts that
+    it has links with, and what it measures of them, `away` those it misses, for how many seconds.
+    Coordinators that are not started yet wait for the hosts in `waits_for`, or for an operator's command
+    because of `start_held`; `refused` are the hosts that it cannot be linked with, each with the reason.
+    `bundle` are the first digits of the digest of the bundle that it runs, '' for none. `lost` says by kind
+    how much of what happened there this computer will never hear of, since it looks. `clock` is what its
+    clock shows more than that of this computer (s), and `clock_within` how sure that is. `place` is what the
+    devices file says.
     """
 
     host: str
@@ -66,7 +78,7 @@ class HostSeen:
     refused: Mapping[str, str] = field(default_factory=dict)
     bundle: str = ""
     late: float | None = None
-    reaches: tuple[str, ...] = ()
+    links: Mapping[str, LinkSeen] = field(default_factory=dict)
     away: Mapping[str, float] = field(default_factory=dict)
     lost: Mapping[str, int] = field(default_factory=dict)
     clock: float | None = None

@@ -41,6 +41,10 @@ class Socket:
     def setsockopt(self, *_: object) -> None:
         """It has no options."""
 
+    def getsockopt(self, *_: object) -> bytes:
+        """Nor counters."""
+        raise OSError(errno.ENOPROTOOPT, "Protocol not available")
+
     def dup(self) -> Socket:
         return self
 

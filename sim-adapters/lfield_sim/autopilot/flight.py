@@ -33,14 +33,16 @@ def fly(pilot: Pilot) -> None:
 
 
 def _return(pilot: Pilot) -> None:
-    """Up to the return height, over to home, a moment there, down.
+    """Up to the return height, over to home or a rally point, a moment there, down.
 
     An ArduCopter that was climbing comes back to the height at which it was told, and waits when it is there.
     """
-    vehicle, home, waits = pilot.vehicle, pilot.home, pilot.return_pause
+    vehicle, home, waits = pilot.vehicle, pilot.homing.destination, pilot.return_pause
     north, east, down = vehicle.place
     far = math.dist((north, east), home[:2])
-    height = home[2] - pilot.return_height_at(far)
+    # ArduPilot comes to a rally point at its height, or higher; PX4's height of a return is above it.
+    above = home[2] if pilot.flavour.takeoff_mode else pilot.home[2]
+    height = min(above - pilot.return_height_at(far), home[2])
     if not pilot.flies:
         vehicle.goal = Reach(home)
         if far < AT_HOME:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+from lfield_sim.autopilot.body.curves import arc, spline
 from lfield_sim.autopilot.body.goals import Circle, Descend, Reach, Vector
 from lfield_sim.autopilot.flavours import Role
 from lfield_sim.autopilot.lifting import AT_HEIGHT, begin_takeoff
@@ -24,6 +25,7 @@ NAMES = {
 }  # fmt: skip
 #: What needs to be in the air.
 FLOWN = frozenset({WAYPOINT, LOITER, LOITER_TURNS, LOITER_TIME, LOITER_TO_HEIGHT, ARC, SPLINE})
+CURVES = frozenset({ARC, SPLINE})
 TAKEOFFS, LANDINGS = frozenset({TAKEOFF, VTOL_TAKEOFF}), frozenset({LAND, VTOL_LAND})
 #: What is navigation, so that a takeoff must come before it. CLIMB_ON is passed over by what hovers.
 NAVIGATION = FLOWN | TAKEOFFS | LANDINGS | {RETURN, CLIMB_ON, GUIDED, PLACE_PAYLOAD}
@@ -31,8 +33,8 @@ NAVIGATION = FLOWN | TAKEOFFS | LANDINGS | {RETURN, CLIMB_ON, GUIDED, PLACE_PAYL
 TIMED = frozenset({WAYPOINT, LOITER_TIME, SPLINE})
 #: Metres above the ground at which a payload is put down.
 PUT_DOWN = 0.2
-#: Metres within which a place is reached.
-AT_PLACE = 1.0
+#: Metres within which a place is reached; how far ahead on a curve it flies, in metres.
+AT_PLACE, AHEAD = 1.0, 3.0
 #: Half the longest time that an item can wait, in seconds.
 LONGEST = 1e6
 
@@ -70,6 +72,7 @@ def fly_mission(pilot: Pilot) -> None:
         mission.begun = mission.current
         tell_begun(pilot, item)
         _begin(pilot, item)
+    _follow_curve(pilot)
     if pilot.role is Role.MISSION and mission.item is item and _done(pilot, item):
         _tell_reached(pilot, item)
         mission.reach()
@@ -116,6 +119,9 @@ def _begin(pilot: Pilot, item: MissionItem) -> None:
         # At the height that it has; down it goes when it is there.
         pilot.vehicle.goal = Reach((*place[:2], pilot.vehicle.place[2]))
     elif item.command in FLOWN | LANDINGS:
+        curved = item.command in CURVES and pilot.flies
+        pilot.mission.curve = _curve_to(pilot, item, place) if curved else []
+        pilot.mission.leg = None if item.values[0] else pilot.vehicle.place
         pilot.vehicle.goal = Reach(place)
     elif item.command in TAKEOFFS and pilot.flies:
         begin_takeoff(pilot, place[2])
@@ -127,6 +133,29 @@ def _begin(pilot: Pilot, item: MissionItem) -> None:
         _jump(pilot, item)
     elif item.command not in (CLIMB_ON, DELAY, GUIDED, TAG):
         pilot.perform(item)
+
+
+def _curve_to(pilot: Pilot, item: MissionItem, place: Vector) -> list[Vector]:
+    """The curve from where it is; a spline is a stop at an end where it waits, or has no neighbour."""
+    start, mission = pilot.vehicle.place, pilot.mission
+    if item.command == ARC:
+        return list(arc(start, place, _bounded(item.values[0])))
+    later = (each for each in mission.items[mission.current + 1 :] if each.command in NAVIGATION)
+    after = None if item.values[0] else next(later, None)
+    if after is None or after.command not in FLOWN or after.place is None:
+        return list(spline(mission.leg, start, place, None))
+    return list(spline(mission.leg, start, place, after.place, straight_on=after.command != SPLINE))
+
+
+def _follow_curve(pilot: Pilot) -> None:
+    """Fly to a point a little ahead on its curve; the last one is its place."""
+    curve = pilot.mission.curve
+    if not curve:
+        return
+    while len(curve) > 1 and math.dist(pilot.vehicle.place, curve[0]) < AHEAD:
+        curve.pop(0)
+    if pilot.mission.arrived is None:
+        pilot.vehicle.goal = Reach(curve[0])
 
 
 def _jump(pilot: Pilot, item: MissionItem) -> None:
@@ -157,7 +186,7 @@ def _done(pilot: Pilot, item: MissionItem) -> bool:
 def _arrived(pilot: Pilot, item: MissionItem) -> bool:
     """Whether it is, or has been, at the item's place; turns begin there."""
     mission, vehicle = pilot.mission, pilot.vehicle
-    if mission.arrived is None and _near(pilot, item.place):
+    if mission.arrived is None and len(mission.curve) < 2 and _near(pilot, item.place):
         mission.arrived = pilot.now
         if item.command == LOITER_TURNS and item.place is not None:
             vehicle.goal = Circle(item.place, abs(_bounded(item.values[2])) or 5.0, vehicle.limits.cruise / 2)

@@ -290,17 +290,16 @@ class Pilot:
             return
         if self.role in (Role.HOLD, Role.GUIDED):
             self.resumes = self.mode
-        self.mode, self.over_home_at = name, None
-        self.entered_at, self.entered_down = self.now, self.vehicle.place[2]
+        self.mode, self.over_home_at, vehicle = name, None, self.vehicle
+        self.entered_at, self.entered_down = self.now, vehicle.place[2]
         self.apply_parameters()
-        vehicle = self.vehicle
         self.pace.enter(guided=self.role is Role.GUIDED)
         vehicle.yaw_goal = vehicle.yaw_rate_goal = None
         vehicle.goal = self._first_goal()
         if self.kind.limits.eases and self.role in (Role.HOLD, Role.RETURN):
             vehicle.level()
-        if self.role is Role.RETURN and self.flavour.takeoff_mode and self.armed and self.aloft:
-            self._say_return()
+        if self.role is Role.RETURN:
+            self._begin_return()
         if self.role is Role.MISSION:
             first = 1 if self.flavour.home_item else 0
             self.mission.jump(max(self.mission.current, first) if self.mission.item else first)
@@ -309,11 +308,13 @@ class Pilot:
         if self.role is Role.GUIDED:
             self.armed_at = self.now
 
-    def _say_return(self) -> None:
+    def _begin_return(self) -> None:
         """PX4 tells how high it returns; its rover lands from the beginning."""
+        here, home = self.vehicle.place, self.homing.begin_return(self.vehicle.place, self.parameters)
+        if not (self.flavour.takeoff_mode and self.armed and self.aloft):
+            return
         if not self.flies:
             self.say("RTL: land at destination\t")
-        here, home = self.vehicle.place, self.home
         up = max(home[2] - here[2], self.return_height_at(math.dist(here[:2], home[:2])))
         top = self.altitude - self.home[2] + up
         self.say(f"RTL: start return at {top:.0f} m ({up:.0f} m above destination)\t")

@@ -31,7 +31,8 @@ class Mission:
 
     `begun` is the index whose flight has begun, -1 for none; `arrived` is when its place was reached, in
     seconds; `height` is the down to which it returns after it has put down a payload; `jumps` counts how
-    often each DO_JUMP was taken; `last_reached` is NO_ITEM before the first.
+    often each DO_JUMP was taken; `last_reached` is NO_ITEM before the first. `curve` are the points of a curve
+    that are still to be flown, `leg` is where the leg before began, None when it ended at rest.
     """
 
     items: list[MissionItem] = field(default_factory=list)
@@ -41,6 +42,8 @@ class Mission:
     height: float = 0.0
     jumps: dict[int, int] = field(default_factory=dict)
     last_reached: int = NO_ITEM
+    curve: list[Vector] = field(default_factory=list)
+    leg: Vector | None = None
     _reached: list[int] = field(default_factory=list)
 
     @property
@@ -53,6 +56,7 @@ class Mission:
         if not 0 <= index < len(self.items):
             return False
         self.current, self.begun, self.arrived = index, -1, None
+        self.curve, self.leg = [], None
         return True
 
     def begin_again(self) -> None:
@@ -60,6 +64,14 @@ class Mission:
         self.last_reached = NO_ITEM
         self.jumps.clear()
         self.jump(0)
+
+    def change(self, items: list[MissionItem]) -> bool:
+        """Other items take their place while it is flown; whether the one under way is another one."""
+        before, self.items = self.item, items
+        if self.item is None or self.item == before:
+            return False
+        self.begun, self.arrived, self.curve = -1, None, []
+        return True
 
     def reach(self) -> None:
         """The current item is done; on to the next."""

@@ -65,7 +65,8 @@ class Limits:
     `overshoot_share` (s/m) of the square of that while it `shoots_over`; `rolls_out` is the share of its
     speed that it loses in a second when nothing drives it, 0 for one that stands at once. What is flown
     is never quite what was asked: `goal_response` and `velocity_response` say how a speed asked for comes
-    out, for places and velocities.
+    out, for places and velocities. `sets_out` is the share of it that a copter flies at first; of the rest it
+    makes up two thirds in `learns` seconds, as its controller adds up what it lacks.
     """
 
     cruise: float = 5.0
@@ -91,6 +92,8 @@ class Limits:
     rolls_out: float = 0.0
     goal_response: Response = Response()
     velocity_response: Response = Response()
+    sets_out: float = 1.0
+    learns: float = 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,6 +127,7 @@ class Vehicle:
     wind: Wind = field(default_factory=Wind)
     station: tuple[float, float] | None = None
     sags: float = 0.0
+    _learned: tuple[float, float] = (0.0, 0.0)
 
     @property
     def airborne(self) -> bool:
@@ -169,7 +173,7 @@ class Vehicle:
     def step(self, dt: float) -> None:
         """Let `dt` seconds pass."""
         before, limits = self.velocity, self.limits
-        north, east, down = self._kept_in(self._stationed(self._wanted()))
+        north, east, down = self._kept_in(self._stationed(self._set_out(self._wanted(), dt)))
         missing = (north - before[0], east - before[1])
         felt = (self.acceleration[0] - self.wind.left[0], self.acceleration[1] - self.wind.left[1])
         # Who only leans, or falls, goes with the wind.
@@ -213,6 +217,20 @@ class Vehicle:
             case Fall():
                 return (self.velocity[0], self.velocity[1], 50.0)
         return ZERO
+
+    def _set_out(self, wanted: Vector, dt: float) -> Vector:
+        """What becomes of a velocity at first, and after a while: what it lacks is added up, and added."""
+        share, (north, east) = self.limits.sets_out, wanted[:2]
+        if share == 1.0:
+            return wanted
+        # All that it may lack of this velocity in the end, towards which what it has made up goes.
+        most, more = 1.0 / share - 1.0, min(1.0, dt / self.limits.learns)
+        sums = zip(self._learned, (most * north, most * east), strict=True)
+        learned = tuple(had + more * (all_of_it - had) for had, all_of_it in sums)
+        size, largest = math.hypot(*learned), most * math.hypot(north, east)
+        kept = min(1.0, largest / size) if size > 0.0 else 1.0
+        self._learned = (learned[0] * kept, learned[1] * kept)
+        return (share * (north + self._learned[0]), share * (east + self._learned[1]), wanted[2])
 
     def _stationed(self, wanted: Vector) -> Vector:
         """In wind it goes back to where it came to a stand, when it was to stay over that."""

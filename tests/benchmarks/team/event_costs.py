@@ -120,7 +120,7 @@ def watched(cases: dict[str, tuple[str, list[float]]]) -> None:
         nonlocal step
         # A little later than asked, as timers are.
         up = step * (1 / RATE + 1e-6)
-        now = sample(host.core, host.guards, host.clock.monotonic())
+        now = sample(host.core, host.guards, host.peers.watch.latest, host.clock.monotonic())
         watcher.sample({key: ((step, version), what) for key, (version, what) in now.items()}, 1.7e9, up)
         made = watcher.batch(1.7e9, up + LEAST, lambda: STATUS)
         assert made is not None

@@ -147,6 +147,33 @@ def test_a_tool_that_reads_the_same_objects_all_the_time_is_no_second_device(rig
     assert not any("two devices" in note for note in b.notes)
 
 
+@pytest.mark.few(4)
+@pytest.mark.parametrize("pause", [0.001, 0.004, 0.01, 0.02, 0.024, 0.03])
+@pytest.mark.parametrize("echoes", [False, True])
+def test_a_tool_that_scans_all_subindexes_is_no_second_device(rig, pause, echoes):
+    """In step with the rounds of the roll call, too, and with an adapter that shows its own frames."""
+    b = rig()
+    b.wire.echoes = echoes
+
+    async def mission(axis):
+        async def scan() -> None:
+            while True:
+                # It reads what is asked about next, as often as not.
+                for subindex in range(0x5C, 0x70):
+                    b.wire.read(0x1018, subindex)
+                    await asyncio.sleep(pause)
+
+        scanning = asyncio.ensure_future(scan())
+        for _ in range(3):
+            await restarts(b, axis)
+        scanning.cancel()
+        b.wire.join()
+        await b.until(lambda: any("two devices" in note for note in b.notes))
+
+    b.run(mission)
+    assert sum("two devices" in note for note in b.notes) == 1
+
+
 def test_an_adapter_that_shows_its_own_frames_hides_no_device_and_makes_none(rig):
     b = rig()
     b.wire.echoes = True

@@ -90,7 +90,7 @@ def test_all_that_a_host_tells_as_json_and_as_a_table(capsys):
             DeviceStatus("near.arm", {}, None, "lost", "4 m up"),
             DeviceStatus("near.eye", {"mode": "hold"}, 4.0, "lost"),
         ],
-        [LinkStatus("bravo", None), LinkStatus("carol", 3.5)],
+        [LinkStatus("bravo", None, 0.2143, 0.048, 12_345, 999), LinkStatus("carol", 3.5)],
         [Told("near", "", {"battery": ToldFact(0.75, 1.5)}, {"mode": "fc has not reported mode"})],
         bundle=BundleStatus(bytes(range(32)), "anna\x1b", 1_795_464_000.0),
     )
@@ -132,6 +132,7 @@ def test_all_that_a_host_tells_as_json_and_as_a_table(capsys):
             ],
             "linked": ["bravo"],
             "away": {"carol": 3.5},
+            "links": {"bravo": {"round_trip": 0.2143, "loss": 0.048, "sent": 12345, "received": 999}},
             "devices": {
                 "near.fc": {"at": [0.5, 1], "on": True},
                 "near.arm": {},
@@ -197,6 +198,26 @@ def test_how_late_a_host_was_and_how_long_it_may_be_silent(capsys):
         ["HOST", "LATE", "SILENCE", "LEASE", "JOURNAL"],
         ["alpha", "0.031", "s", "0.2", "s", "1.5", "s", "keeps", "nothing"],
         ["carol", "keeps", "nothing"],
+    ]
+
+
+def test_the_round_trip_the_loss_and_the_bytes_of_each_link(capsys):
+    links = [LinkStatus("bravo", None, 0.2143, 0.048, 12_345, 999), LinkStatus("carol", 3.5)]
+    links.append(LinkStatus("delta", None))
+    status = Status("alpha", "127.0.0.1:1", 2.5, b"p" * 32, b"d" * 32, [], [], [], links, [])
+    told = json.loads(picture.as_json({"alpha": status}))["alpha"]
+    assert (told["linked"], told["away"]) == (["bravo", "delta"], {"carol": 3.5})
+    assert told["links"] == {
+        "bravo": {"round_trip": 0.2143, "loss": 0.048, "sent": 12_345, "received": 999},
+        "delta": dict.fromkeys(("round_trip", "loss", "sent", "received")),
+    }
+    picture.show({"alpha": status})
+    rows = [" ".join(line.split()) for line in capsys.readouterr().out.splitlines()]
+    assert rows[-4:] == [
+        "HOST LINK WITH ROUND TRIP LOSS SENT RECEIVED",
+        "alpha bravo 214 ms 4.8 % 12.3 kB 999 B",
+        "alpha carol none for 4 s",
+        "alpha delta",
     ]
 
 

@@ -153,3 +153,91 @@ def test_what_it_speaks_against_is_not_believed(flown):
         assert sum(said) >= 3
 
     flown(work)
+
+
+def losing(b, *kinds):
+    """Nothing of these kinds gets to the vehicle; what is lost can be changed."""
+    link, lost = b.links[0], set(kinds)
+    send = link.send
+    reader = Reader()
+
+    def passes(data):
+        if not any(message.get_msgId() in lost for message in reader.feed(data)):
+            send(data)
+
+    link.send = passes
+    return lost
+
+
+COMMANDS = (dialect.MAVLINK_MSG_ID_COMMAND_LONG, dialect.MAVLINK_MSG_ID_COMMAND_INT)
+SETPOINT = dialect.MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED
+
+
+def test_setpoints_go_on_until_a_hold_arrives_where_offboard_was_believed(flown):
+    """What only accepted OFFBOARD waits for setpoints as one that has shown it does."""
+
+    async def work(b, fc):
+        await fc.execute("setMode", ["AUTO.LOITER"])
+        b.filter = without(*TOLD)
+        await fc.execute("setVelocity", [0.5, 0.0, 0.0])
+        lost = losing(b, *COMMANDS)
+        asyncio.get_running_loop().call_later(2.2, lost.clear)
+        holding = asyncio.ensure_future(fc.execute("setMode", ["AUTO.LOITER"]))
+        await asyncio.sleep(2.0)
+        assert b.autopilot.mode == "OFFBOARD"
+        await holding
+        assert b.autopilot.mode == "AUTO.LOITER"
+        b.sent.clear()
+        await asyncio.sleep(1.0)
+        kinds = [message.get_msgId() for data in b.sent for message in Reader().feed(data)]
+        assert SETPOINT not in kinds
+
+    flown(work)
+
+
+@pytest.mark.parametrize("shown", [False, True])
+@pytest.mark.parametrize("late", [0.0, 0.6])
+def test_a_failsafe_that_came_before_a_hold_is_none_after_it(flown, late, shown):
+    """Setpoints and the command were lost for so long that PX4 acted; its text may come after the mode."""
+
+    async def work(b, fc):
+        await fc.execute("setMode", ["AUTO.LOITER"])
+        if not shown:
+            b.filter = without(*TOLD)
+        await fc.execute("setVelocity", [0.5, 0.0, 0.0])
+        loop, reader = asyncio.get_running_loop(), Reader()
+
+        def passes(link, packet):
+            (message,) = reader.feed(packet)
+            text = message.get_msgId() == dialect.MAVLINK_MSG_ID_STATUSTEXT
+            loop.call_later(late if text else 0.0, link.on_data, packet)
+
+        b.filter = passes
+        lost = losing(b, *COMMANDS, SETPOINT)
+        await asyncio.sleep(0.4)
+        holding = asyncio.ensure_future(fc.execute("setMode", ["AUTO.LOITER"]))
+        await b.until(lambda: b.autopilot.mode != "OFFBOARD")
+        lost.clear()
+        await holding
+        await asyncio.sleep(0.2)
+        for _ in range(12):
+            await fc.execute("setVelocity", [0.5, 0.0, 0.0])
+            await asyncio.sleep(0.2)
+        assert not fc.taken_over()
+
+    flown(work)
+
+
+def test_a_failsafe_right_after_a_hold_has_it(flown):
+    """Its text comes within the time of late ones; that it lasts shows by the heartbeat."""
+
+    async def work(b, fc):
+        await fc.execute("setVelocity", [0.5, 0.0, 0.0])
+        await fc.execute("setMode", ["AUTO.LOITER"])
+        await asyncio.sleep(0.3)
+        b.autopilot.critical = True
+        b.autopilot.say("Failsafe activated\t")
+        await asyncio.sleep(3.0)
+        assert fc.taken_over()
+
+    flown(work)

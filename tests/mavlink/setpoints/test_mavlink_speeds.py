@@ -37,8 +37,8 @@ def test_a_limit_is_kept_in_still_air(bench, flavour, kind, limit):
     b = bench(flavour=flavour, kind=kind, limits={"speed": limit})
     speeds = b.run(lambda fc: flown(b, fc, kind))
     assert max(speeds) <= limit * STILL_AIR
-    # A PX4's copter flies seven eighths of what MPC_XY_VEL_MAX allows; its rover has no more than 3 m/s.
-    assert max(speeds) >= 0.85 * min(limit, 3.0 if (flavour, kind) == ("px4", "rover") else limit)
+    # PX4's copter comes up to it within 20 s; its rover has no more than 3 m/s.
+    assert max(speeds) >= 0.95 * min(limit, 3.0 if (flavour, kind) == ("px4", "rover") else limit)
     assert [note for note in b.notes if "beyond its limit" in note] == []
 
 

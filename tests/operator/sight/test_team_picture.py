@@ -16,7 +16,7 @@ from lfield.operator.sight.picture.agents import MOST_AGENTS
 from lfield.operator.sight.picture.devices import MOST_DEVICES
 from lfield.operator.sight.picture.places import instruments_of
 from lfield.operator.sight.picture.team_picture import Picture
-from lfield.operator.sight.seen import StopSeen
+from lfield.operator.sight.seen import LinkSeen, StopSeen
 from lfield.wire.coordinators import Known
 from lfield.wire.events import (
     Came,
@@ -32,6 +32,7 @@ from lfield.wire.events import (
     Measured,
     Moving,
     Offered,
+    Path,
     Paused,
     Printed,
     Released,
@@ -84,7 +85,7 @@ def test_a_snapshot_is_the_picture() -> None:
     assert vehicle.fresh
     assert vehicle.link == 0.0
     assert story.seen.agents["one"].served == 3
-    assert story.seen.hosts["alpha"].reaches == ("beta",)
+    assert story.seen.hosts["alpha"].links == {"beta": LinkSeen()}
     assert {name: offer.refusal for name, offer in story.seen.offers.items()} == {"one": "", "two": ""}
 
 
@@ -282,7 +283,18 @@ def test_links_that_are_missed_grow_older() -> None:
     story.tell("alpha", Unlinked("beta"))
     story.now += 3.0
     alpha = story.seen.hosts["alpha"]
-    assert (alpha.reaches, alpha.away) == ((), {"beta": pytest.approx(3.0, abs=0.01)})
+    assert (alpha.links, alpha.away) == ({}, {"beta": pytest.approx(3.0, abs=0.01)})
+
+
+def test_what_is_measured_of_a_link_is_shown_while_there_is_one() -> None:
+    story = Story()
+    story.tell("alpha", Linked("beta"), Path("beta", 0.2, 0.05, 1000, 2000))
+    assert story.seen.hosts["alpha"].links == {"beta": LinkSeen(0.2, 0.05, 1000, 2000)}
+    story.tell("alpha", Unlinked("beta"))
+    story.tell("alpha", Path("beta", 0.3, 0.05, 1000, 2000))
+    assert story.seen.hosts["alpha"].links == {}
+    story.tell("alpha", Linked("beta"))
+    assert story.seen.hosts["alpha"].links == {"beta": LinkSeen()}
 
 
 def test_the_log_has_lines_whatever_pieces_programs_write() -> None:

@@ -28,6 +28,7 @@ from lfield.operator.sight.seen import (
     Earth,
     HopSeen,
     HostSeen,
+    LinkSeen,
     Local,
     LogLine,
     OfferSeen,
@@ -225,7 +226,11 @@ class Script:
                 waits_for=tuple(self.refused),
                 refused=self.refused,
                 bundle="5cde09b1f2a37c44",
-                reaches=tuple(other for other in live if other != name)[:3] if name in live else (),
+                links={
+                    other: LinkSeen(0.0431, 0.048, 12_300, 9_100)
+                    for other in [other for other in live if other != name][:3]
+                    if name in live
+                },
             )
             for name in names
         }

@@ -200,7 +200,7 @@ def test_who_stops_reading_gets_a_window_and_then_an_end(tmp_path: Path) -> None
     assert eye.refused == "what it watches was not read for 60 s"
     # One more says what it has lost, should it read that one day.
     assert len(eye.batches) == WINDOW + 1
-    assert eye.batches[-1].lost.keys() == {"measured", "standing"}
+    assert eye.batches[-1].lost.keys() == {"measured", "standing", "path"}
     assert len(other.batches) > 600
     assert not any("state" in batch.lost for batch in other.batches)
 

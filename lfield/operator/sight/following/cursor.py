@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from msgspec.structs import replace
 
-from lfield.wire.events import Measured, Standing
+from lfield.wire.events import Thinned
 from lfield.wire.watching import Events, Watch
 
 #: The life of no host: whoever asks with it is told all of this one that there still is.
@@ -44,8 +44,8 @@ class Cursor:
         self._failures = 0
         same = batch.incarnation == self.incarnation
         known = self.number if same else batch.after
-        states = {e.number for e in batch.events if not isinstance(e.what, Measured | Standing)}
-        fresh = [e for e in batch.events if isinstance(e.what, Measured | Standing) or e.number > known]
+        states = {e.number for e in batch.events if not isinstance(e.what, Thinned)}
+        fresh = [e for e in batch.events if isinstance(e.what, Thinned) or e.number > known]
         last = max((event.number for event in batch.events), default=0)
         self.incarnation, self.number = batch.incarnation, max(known, batch.after, last)
         lost = dict(batch.lost)

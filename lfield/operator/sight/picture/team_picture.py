@@ -23,6 +23,7 @@ from lfield.operator.sight.seen import (
     Curve,
     DeviceSeen,
     HostSeen,
+    LinkSeen,
     OfferSeen,
     OrderSeen,
     Seen,
@@ -32,7 +33,7 @@ from lfield.operator.sight.seen import (
 from lfield.wire import events
 from lfield.wire.events import Event
 from lfield.wire.fields import short_digest
-from lfield.wire.observing import EmergencyStopped, Status
+from lfield.wire.observing import EmergencyStopped, LinkStatus, Status
 from lfield.wire.watching import Events
 
 #: Clocks of computers go apart by no more than so many seconds in a second.
@@ -63,7 +64,7 @@ class _Host:
     refused: dict[str, str] = field(default_factory=dict)
     bundle: str = ""
     late: float | None = None
-    reaches: dict[str, bool] = field(default_factory=dict)
+    links: dict[str, LinkSeen] = field(default_factory=dict)
     away: dict[str, float] = field(default_factory=dict)
     offers: dict[str, str] = field(default_factory=dict)
     lost: Counter[str] = field(default_factory=Counter)
@@ -182,7 +183,7 @@ class Picture:
         host.bundle = short_digest(status.bundle.digest) if status.bundle is not None else ""
         host.waits_for = tuple(status.start.hosts) if status.start is not None else ()
         host.start_held = status.start.held if status.start is not None else ""
-        host.reaches = {link.host: True for link in status.links if link.away is None}
+        host.links = {link.host: _measured(link) for link in status.links if link.away is None}
         host.away = {link.host: now - link.away for link in status.links if link.away is not None}
         host.offers = {told.agent: told.refusal for told in status.directory}
         self._devices.status(name, status.devices, now)
@@ -190,7 +191,7 @@ class Picture:
 
     def _happened(self, name: str, host: _Host, event: Event, now: float) -> None:
         when, what = host.when(event.up, now), event.what
-        is_past = event.number <= host.past and not isinstance(what, events.Measured | events.Standing)
+        is_past = event.number <= host.past and not isinstance(what, events.Thinned)
         if isinstance(what, AgentEvent):
             self._agents.told(name, what, when, is_past=is_past)
         elif isinstance(what, Words):
@@ -276,7 +277,7 @@ class Picture:
             refused=dict(host.refused),
             bundle=host.bundle,
             late=host.late,
-            reaches=tuple(host.reaches),
+            links=dict(host.links),
             away={peer: max(0.0, now - when) for peer, when in host.away.items()},
             lost=dict(host.lost),
             clock=host.wall,
@@ -372,18 +373,24 @@ def _stands(host: _Host, what: object, when: float) -> None:
         case events.Waits(_, hosts, held):
             host.waits_for, host.start_held = tuple(filter(None, hosts.split(", "))), held
         case events.Linked(peer):
-            host.reaches[peer] = True
+            host.links[peer] = LinkSeen()
             host.away.pop(peer, None)
         case events.Unlinked(peer, lost):
-            host.reaches.pop(peer, None)
+            host.links.pop(peer, None)
             if lost:
                 host.away[peer] = when
+        case events.Path(peer) if peer in host.links:
+            host.links[peer] = _measured(what)
         case events.Offered(agent):
             host.offers[agent] = ""
         case events.Withdrawn(agent, reason):
             host.offers[agent] = reason or "it cannot be called"
         case _:
             pass
+
+
+def _measured(of: LinkStatus | events.Path) -> LinkSeen:
+    return LinkSeen(of.round_trip, of.loss, of.sent, of.received)
 
 
 def _left_out(host: _Host, what: Words) -> None:

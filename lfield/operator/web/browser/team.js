@@ -189,7 +189,11 @@ export default {
       if (!host.linked) parts.push(host.age === null ? "not heard yet" : `last heard ${words.age(host.age)} ago`);
       if (host.ending) parts.push(`ended: ${host.ending}`);
       else if (host.trouble) parts.push(host.trouble);
-      if (host.linked) parts.push(host.reaches.length ? `linked with ${host.reaches.join(", ")}` : "linked");
+      const reached = Object.entries(host.links).map(([other, link]) => {
+        const measured = words.link(link);
+        return measured ? `${other} (${measured})` : other;
+      });
+      if (host.linked) parts.push(reached.length ? `linked with ${reached.join(", ")}` : "linked");
       for (const [other, seconds] of Object.entries(host.away)) parts.push(`misses ${other} for ${words.age(seconds)}`);
       if (host.bundle) parts.push(`bundle ${host.bundle}`);
       if (host.waits_for.length) parts.push(`start waits for ${host.waits_for.join(", ")}`);

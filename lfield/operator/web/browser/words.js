@@ -25,6 +25,22 @@ export function duration(seconds) {
   return seconds < 0.01 ? `${(seconds * 1000).toPrecision(2)} ms` : `${Math.round(seconds * 1000)} ms`;
 }
 
+// Bytes in units of 1,000: "310 B", "12.3 kB", "1.4 MB".
+export function bytes(count) {
+  if (count < 1000) return `${count} B`;
+  return count < 1e6 ? `${(count / 1e3).toFixed(1)} kB` : `${(count / 1e6).toFixed(1)} MB`;
+}
+
+// What is measured of a link: "214 ms, 4.8 % lost, 12.3 kB sent, 9.1 kB received".
+export function link({ round_trip, loss, sent, received }) {
+  const parts = [];
+  if (round_trip !== null) parts.push(duration(round_trip));
+  if (loss !== null) parts.push(`${(loss * 100).toFixed(1)} % lost`);
+  if (sent !== null) parts.push(`${bytes(sent)} sent`);
+  if (received !== null) parts.push(`${bytes(received)} received`);
+  return parts.join(", ");
+}
+
 // Whether places are told in degrees: when everybody who is anywhere knows where on the Earth.
 export function geographic(vehicles) {
   const somewhere = vehicles.filter((v) => v.place || v.earth);

@@ -70,6 +70,7 @@ _ARDUPILOT = frozenset(
 )
 #: By PX4 alone: outputs, triggers, transitions, the gate, arming.
 _PX4 = frozenset({80, 187, 196, 200, 204, 214, 260, 400, 1001, 2003, 3000, 4501})
+RALLY = 5100
 FENCE_RETURN, POLYGON_IN, POLYGON_OUT, CIRCLE_IN, CIRCLE_OUT = 5000, 5001, 5002, 5003, 5004
 POLYGONS, CIRCLES = frozenset({POLYGON_IN, POLYGON_OUT}), frozenset({CIRCLE_IN, CIRCLE_OUT})
 #: Of missions that ArduPilot takes, and PX4.
@@ -77,7 +78,7 @@ ARDUPILOT_COMMANDS = ARDUPILOT_PLACES | _BOTH | _ARDUPILOT
 PX4_COMMANDS = BOTH_PLACES | _BOTH | _PX4
 COMMANDS = {
     PlanType.FENCE: POLYGONS | CIRCLES | {FENCE_RETURN},
-    PlanType.RALLY: frozenset({5100}),
+    PlanType.RALLY: frozenset({RALLY}),
 }
 _PARAMS = (
     PlanResult.INVALID_PARAM1,

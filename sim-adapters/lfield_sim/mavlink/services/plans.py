@@ -18,6 +18,7 @@ from lfield_sim.mavlink.services.plan_items import (
     ABOVE_HOME,
     ABOVE_SEA,
     PLACE_COMMANDS,
+    RALLY,
     TAKEOFF,
     VTOL_TAKEOFF,
     WAYPOINT,
@@ -102,11 +103,22 @@ class Plans(Service):
         if COUNTS[kind] in self.autopilot.parameters:
             self.autopilot.parameters[COUNTS[kind]] = float(len(items))
         if kind is PlanType.MISSION:
-            self.autopilot.mission.items = [self._to_fly(item) for item in items]
-            if whole:
-                self.autopilot.mission.begin_again()
+            self._change_mission([self._to_fly(item) for item in items], whole)
         elif kind is PlanType.FENCE:
             self._fence.shapes = shapes_of(items, self.place)
+        else:
+            points = (self._place(item) for item in items)
+            self.autopilot.homing.rally = [point for point in points if point is not None]
+
+    def _change_mission(self, items: list[MissionItem], whole: bool) -> None:
+        """ArduPilot goes on with its current item where it flies its mission, and begins a new one of it."""
+        pilot = self.autopilot
+        if not (self._home_first and pilot.armed and pilot.role is Role.MISSION):
+            pilot.mission.items = items
+            if whole:
+                pilot.mission.begin_again()
+        elif pilot.mission.change(items):
+            pilot.say("Auto mission changed, restarted command")
 
     def _home(self) -> Item:
         """Item 0 of an ArduPilot mission."""
@@ -124,7 +136,7 @@ class Plans(Service):
         A takeoff goes straight up, wherever its place is, to the height that it has.
         """
         somewhere = (item.x, item.y) != (0, 0) or item.command in (TAKEOFF, VTOL_TAKEOFF)
-        if item.command not in PLACE_COMMANDS or not somewhere:
+        if item.command not in PLACE_COMMANDS | {RALLY} or not somewhere:
             return None
         # The ground is flat at down 0, which is therefore what "above terrain" is above.
         base = 0.0

@@ -1,7 +1,7 @@
 """Where an autopilot is going, as it tells: POSITION_TARGET_LOCAL_NED 85 and POSITION_TARGET_GLOBAL_INT 87.
 
-ArduPilot tells the goal of GUIDED as 87, wherever that came from, and nothing where it follows no place; a
-copter tells its setpoint as 85 in GUIDED (`ModeGuided::get_wp` and `send_position_target_local_ned` of
+ArduPilot tells the goal of GUIDED, of a mission and of a return as 87, wherever that came from (ap-rover.g-mission,
+ap-rover.h-rover; `ModeAuto::get_wp` of ArduCopter 4.7), and nothing where it follows no place; a copter tells its setpoint as 85 in GUIDED (`ModeGuided::get_wp` and `send_position_target_local_ned` of
 ArduCopter 4.7). PX4 tells the goal of a mode of its own as 87, and its setpoint as 85, which are no numbers
 while it follows none (ap-rover.c-speed, px4-copter.c-speed, px4-copter.d-velocity).
 
@@ -34,9 +34,12 @@ def goal_of(autopilot: Autopilot) -> Vector | None:
     """The place in the local frame that it goes to and would tell; None where it tells none."""
     goal, px4 = autopilot.vehicle.goal, autopilot.flavour.needs_stream
     guided = autopilot.role is Role.GUIDED
-    if not autopilot.armed or not isinstance(goal, Reach) or guided == px4 or goal is autopilot.risen_to:
+    silent = not autopilot.armed or not isinstance(goal, Reach) or goal is autopilot.risen_to
+    if silent or not isinstance(goal, Reach) or (guided and px4):
         return None
-    return goal.place
+    # Of a curve it tells the end.
+    curve = autopilot.mission.curve if autopilot.role is Role.MISSION else []
+    return curve[-1] if curve else goal.place
 
 
 def tells_setpoint(autopilot: Autopilot) -> bool:

@@ -1,0 +1,85 @@
+"""The options of TCP connections for radio, and what the kernel tells of them (Linux, `linux/tcp.h`).
+
+A link carries few small messages, each of which somebody waits for. TCP's defaults are for bulk transfer: its
+retransmission time-out is at least 200 ms, doubles with each loss up to 120 s, and acknowledgements of a
+receiver with nothing to say wait for 40 ms or more.
+"""
+
+from __future__ import annotations
+
+import socket
+import struct
+from contextlib import suppress
+from typing import Protocol
+
+from lfield.net.health.traffic import Counts
+
+#: The first six time-outs of a connection with few packets under way do not double (since Linux 2.6.34).
+THIN_LINEAR_TIMEOUTS = 16
+#: The longest retransmission time-out in ms, since Linux 6.15; the kernel takes no less than 1,000. After an
+#: outage a connection continues within this time. (The kernel then ends one after 11 s without an
+#: acknowledgement; a silent link is given up before that.)
+RTO_MAX_MS, LONGEST_TIMEOUT_MS = 44, 1_000
+#: The least retransmission time-out beyond the round trip, and the longest wait of an acknowledgement for a
+#: message to travel with, in microseconds, since Linux 6.15.
+RTO_MIN_US, DELACK_MAX_US = 45, 46
+LONGEST_ACK_DELAY_US = 5_000
+
+#: The margin of the retransmission time-out over the round trip, in seconds: half a round trip, within these
+#: bounds. A short margin repeats a lost packet early; one that is too short for the path repeats packets that
+#: are only late, which a slow channel has no room for.
+MARGIN, LEAST_MARGIN, MOST_MARGIN = 0.5, 0.02, 0.2
+
+#: The part of `struct tcp_info` up to `tcpi_dsack_dups`, and where its fields are.
+_INFO_SIZE = 220
+_TOTAL_RETRANS, _BYTES_RECEIVED, _DATA_SEGS_OUT, _BYTES_SENT, _DSACK_DUPS = 100, 128, 156, 200, 216
+
+
+class Socket(Protocol):
+    """What is needed of a socket; uvloop's are no `socket.socket`."""
+
+    def getsockopt(self, level: int, option: int, size: int, /) -> bytes:
+        """The value of an option."""
+
+    def setsockopt(self, level: int, option: int, value: int, /) -> None:
+        """Set an option."""
+
+
+def set_options(made: Socket) -> None:
+    """Set what this kernel has; the others are left at what they are."""
+    # A hop is one small write that nobody answers: it must not wait to be joined by more.
+    made.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+    for option, value in (
+        (THIN_LINEAR_TIMEOUTS, 1),
+        (RTO_MAX_MS, LONGEST_TIMEOUT_MS),
+        (DELACK_MAX_US, LONGEST_ACK_DELAY_US),
+    ):
+        with suppress(OSError):
+            made.setsockopt(socket.IPPROTO_TCP, option, value)
+    set_margin(made, LEAST_MARGIN)
+
+
+def margin(round_trip: float) -> float:
+    """The margin for a round trip, in seconds."""
+    return min(MOST_MARGIN, max(LEAST_MARGIN, MARGIN * round_trip))
+
+
+def set_margin(made: Socket, seconds: float) -> None:
+    """Set the margin of the retransmission time-out over the round trip, where this kernel has the option."""
+    with suppress(OSError):
+        made.setsockopt(socket.IPPROTO_TCP, RTO_MIN_US, round(seconds * 1e6))
+
+
+def counts(made: Socket) -> Counts | None:
+    """What the kernel has counted; None where it does not tell all of it (before Linux 4.19)."""
+    try:
+        info = made.getsockopt(socket.IPPROTO_TCP, socket.TCP_INFO, _INFO_SIZE)
+    except OSError:
+        return None
+    if len(info) < _INFO_SIZE:
+        return None
+    (received,) = struct.unpack_from("=Q", info, _BYTES_RECEIVED)
+    (sent,) = struct.unpack_from("=Q", info, _BYTES_SENT)
+    repeated, needless = (struct.unpack_from("=I", info, at)[0] for at in (_TOTAL_RETRANS, _DSACK_DUPS))
+    (segments,) = struct.unpack_from("=I", info, _DATA_SEGS_OUT)
+    return Counts(sent, received, segments, max(0, repeated - needless))

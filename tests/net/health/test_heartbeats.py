@@ -1,0 +1,96 @@
+"""When heartbeats are due, what their answers measure, and how long a link may be silent."""
+
+import pytest
+
+from lfield.net.health.heartbeats import LONGEST, LOST_AFTER, MOST_OPEN, SUSPECT_AFTER, Heartbeats
+
+
+def begun(*, first: bool = True) -> Heartbeats:
+    beats = Heartbeats(first=first)
+    beats.begin(0.0)
+    return beats
+
+
+def measured(sample: float, count: int = 50) -> Heartbeats:
+    """Each second one is sent, and answered after `sample` seconds."""
+    beats = begun()
+    for second in range(count):
+        beats.answered(beats.send(float(second)), second + sample)
+    return beats
+
+
+def test_an_answer_counts_once_and_for_its_own_heartbeat():
+    beats = begun()
+    first, second = beats.send(1.0), beats.send(2.0)
+    beats.answered(second, 2.1)
+    assert beats.round_trip.last == pytest.approx(0.1)
+    beats.answered(first, 2.5)
+    assert beats.round_trip.last == pytest.approx(1.5)
+    for token in (first, second, 0, 99):
+        beats.answered(token, 9.0)
+    assert beats.round_trip.last == pytest.approx(1.5)
+
+
+def test_an_end_whose_heartbeats_are_not_answered_remembers_few():
+    beats = begun()
+    tokens = [beats.send(float(n)) for n in range(1000)]
+    beats.answered(tokens[-MOST_OPEN - 1], 1000.0)
+    assert beats.round_trip.mean is None
+    beats.answered(tokens[-MOST_OPEN], 1000.0)
+    assert beats.round_trip.mean == MOST_OPEN
+
+
+def test_what_was_sent_over_an_earlier_link_is_not_answered_on_the_next():
+    beats = begun()
+    token = beats.send(1.0)
+    beats.begin(20.0)
+    beats.answered(token, 20.1)
+    assert beats.round_trip.mean is None
+
+
+def test_two_ends_send_in_turns_and_both_measure():
+    """A link without other messages has one heartbeat a second, as when only one end sent."""
+    here, there = begun(), begun(first=False)
+    heard, sent = {here: 0.0, there: 0.0}, {here: 0, there: 0}
+    for tick in range(1, 601):
+        now = tick / 10
+        # Each looks once a second, the second one 0.3 s after the first.
+        for end, other, phase in ((here, there, 0), (there, here, 3)):
+            if tick % 10 == phase and end.is_due(now, now - heard[end]):
+                token = end.send(now)
+                other.received()
+                heard[other] = now
+                end.answered(token, now + 0.05)
+                heard[end] = now + 0.05
+                sent[end] += 1
+    assert sum(sent.values()) <= 66
+    assert min(sent.values()) >= 25
+    assert [end.round_trip.mean for end in (here, there)] == pytest.approx([0.05, 0.05])
+
+
+def test_a_link_with_other_messages_is_measured_now_and_then():
+    beats = begun()
+    assert not beats.is_due(4.9, 0.1)
+    assert beats.is_due(5.0, 0.1)
+    beats.send(5.0)
+    assert not beats.is_due(9.9, 0.1)
+
+
+@pytest.mark.parametrize("beats", [begun(), measured(0.001), measured(0.2)], ids=["none", "LAN", "radio"])
+def test_on_a_calm_path_a_link_is_lost_after_three_seconds(beats):
+    assert (beats.suspect_after(50.0), beats.lost_after(50.0)) == (SUSPECT_AFTER, LOST_AFTER)
+
+
+def test_where_answers_come_late_a_silence_may_be_longer():
+    beats = measured(0.05)
+    beats.answered(beats.send(50.0), 51.5)
+    for second in range(52, 100):
+        beats.answered(beats.send(float(second)), second + 0.05)
+    assert 2.5 < beats.suspect_after(100.0) <= 3.0
+    assert 5.0 < beats.lost_after(100.0) <= 6.0
+    assert beats.lost_after(100.0 + 3600.0) == LOST_AFTER
+
+
+def test_no_path_is_so_bad_that_a_dead_link_is_never_found():
+    beats = measured(30.0)
+    assert beats.suspect_after(80.0) == beats.lost_after(80.0) == LONGEST

@@ -1,0 +1,94 @@
+"""Loss and bytes of a link, from the counters of the kernel."""
+
+import socket
+
+import pytest
+
+from lfield.net.health import tcp_options
+from lfield.net.health.tcp_options import LEAST_MARGIN, MOST_MARGIN, counts, margin, set_options
+from lfield.net.health.traffic import APART, FEWEST, PERIOD, Counts, Traffic
+
+
+def after(*rows: tuple[float, int, int]) -> Traffic:
+    """Counters read at some times: segments sent, and how many of them again."""
+    traffic = Traffic()
+    for now, segments, repeated in rows:
+        traffic.read(Counts(100 * segments, 7, segments, repeated), now)
+    return traffic
+
+
+def test_loss_is_the_share_of_segments_that_were_sent_again():
+    assert after((0.0, 0, 0), (10.0, 50, 10)).loss == pytest.approx(0.2)
+
+
+def test_a_few_segments_say_nothing():
+    assert after((0.0, 0, 0), (10.0, FEWEST - 1, 2)).loss is None
+
+
+def test_loss_is_of_the_last_minute():
+    rows = [(APART * n, 100 * n, 10 * min(n, 4)) for n in range(100)]
+    assert after(*rows[:5]).loss == pytest.approx(0.1)
+    assert after(*rows).loss == 0.0
+    assert len(after(*rows)._kept) <= PERIOD / APART + 2
+
+
+def test_a_link_that_sends_little_has_the_loss_of_all_its_time():
+    rows = [(float(second), 20 + second // 60, 10) for second in range(600)]
+    assert after(*rows).loss == pytest.approx(10 / 29)
+
+
+def test_a_kernel_that_tells_nothing_gives_nothing():
+    traffic = Traffic()
+    traffic.read(None, 1.0)
+    assert (traffic.loss, traffic.counts) == (None, None)
+
+
+def test_the_margin_follows_the_round_trip_within_bounds():
+    assert [margin(seconds) for seconds in (0.0, 0.2, 3.0)] == [LEAST_MARGIN, 0.1, MOST_MARGIN]
+
+
+@pytest.fixture
+def pair():
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        near = socket.create_connection(listener.getsockname())
+        far, _ = listener.accept()
+    with near, far:
+        yield near, far
+
+
+def test_the_kernel_counts_what_went_over_a_connection(pair):
+    near, far = pair
+    set_options(near)
+    near.sendall(bytes(1000))
+    left = 1000
+    while left:
+        left -= len(far.recv(left))
+    far.sendall(bytes(50))
+    assert near.recv(50)
+    told = counts(near)
+    if told is None:
+        pytest.skip("this kernel does not count what was sent")
+    assert (told.bytes_sent, told.bytes_received, told.repeated) == (1000, 50, 0)
+    assert told.segments >= 1
+
+
+def test_every_kernel_has_linear_timeouts(pair):
+    near, _ = pair
+    set_options(near)
+    assert near.getsockopt(socket.IPPROTO_TCP, tcp_options.THIN_LINEAR_TIMEOUTS) == 1
+    assert near.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)
+
+
+def test_an_option_that_the_kernel_does_not_have_is_left_out(pair, monkeypatch):
+    near, _ = pair
+    for name in ("RTO_MAX_MS", "RTO_MIN_US", "DELACK_MAX_US"):
+        monkeypatch.setattr(tcp_options, name, 9999)
+    set_options(near)
+    tcp_options.set_margin(near, 0.1)
+    assert near.getsockopt(socket.IPPROTO_TCP, tcp_options.THIN_LINEAR_TIMEOUTS) == 1
+
+
+def test_a_socket_that_is_no_tcp_connection_has_no_counts():
+    one, other = socket.socketpair()
+    with one, other:
+        assert counts(one) is None

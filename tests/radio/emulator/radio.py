@@ -1,0 +1,234 @@
+"""Robots on one computer that have a poor radio only: a network namespace and a TUN device each.
+
+    with Radio("alpha", "bravo", seed=1) as radio:
+        radio.set(CELLS["20 %"])
+        server = radio["bravo"].start(["lfield", "up", ...])   # a Popen, killed with the radio
+        radio["alpha"].run(["lfield", "estop", ...])
+        radio.cut(5.0, "alpha")                                # all its packets, or those of a pair
+        radio["alpha"].move("10.77.0.71")                      # it has this address from now on
+        radio.counts()                                         # packets and bytes by direction and port
+
+It needs root, /dev/net/tun, unshare, nsenter and ip (`missing`). It touches no network of the computer.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any, NamedTuple, Self
+
+from emulator.links import Cell, Link
+from emulator.tun import DEVICE
+
+#: The networks that all robots are in; their numbers begin with 1.
+NETWORK, NETWORK_V6 = "10.77.0.", "fd77::"
+#: Bytes: less than Ethernet has, as on most radios.
+MTU = 1400
+_PATIENCE = 10.0
+
+
+class Flow(NamedTuple):
+    """A direction and a service: `to` is "" for packets to no robot, `port` the lower one of both."""
+
+    source: str
+    to: str
+    protocol: int
+    port: int
+
+
+class Count(NamedTuple):
+    """What robots have sent, what was lost of it included; bytes with their IP headers."""
+
+    packets: int = 0
+    bytes: int = 0
+    lost: int = 0
+    with_payload: int = 0
+    payload: int = 0
+
+    def __add__(self, other: tuple[Any, ...]) -> Count:
+        return Count(*map(sum, zip(self, other, strict=True)))
+
+
+class Robot:
+    """A network namespace with loopback and the device of the radio."""
+
+    def __init__(self, name: str, number: int, radio: Radio, ipv6: bool) -> None:
+        self.name, self.address = name, f"{NETWORK}{number}"
+        self.address_v6 = f"{NETWORK_V6}{number}" if ipv6 else ""
+        self._radio = radio
+        # It lives as long as its stdin is open: until this process closes it, or ends.
+        self._holder = subprocess.Popen(
+            ["unshare", "--net", "sh", "-c", "echo; exec cat"], stdin=subprocess.PIPE, stdout=subprocess.PIPE
+        )
+        assert self._holder.stdout is not None
+        self._holder.stdout.readline()
+
+    @property
+    def pid(self) -> int:
+        """A process that is in the namespace."""
+        return self._holder.pid
+
+    @property
+    def addresses(self) -> list[str]:
+        """Those that it has now."""
+        return [self.address, *filter(None, [self.address_v6])]
+
+    def line(self, command: Sequence[object]) -> list[str]:
+        """The command line that runs a command in there; the process that is started becomes the command."""
+        return ["nsenter", f"--net=/proc/{self.pid}/ns/net", *map(str, command)]
+
+    def start(self, command: Sequence[object], **options: Any) -> subprocess.Popen[Any]:
+        """Start a command, with options of `subprocess.Popen`; it is killed with the radio."""
+        process = subprocess.Popen(self.line(command), **{"stdin": subprocess.DEVNULL} | options)
+        self._radio.end_later(process)
+        return process
+
+    def run(self, command: Sequence[object], **options: Any) -> subprocess.CompletedProcess[Any]:
+        """Run a command to its end, with options of `subprocess.run`."""
+        return subprocess.run(self.line(command), **{"stdin": subprocess.DEVNULL} | options)
+
+    def configure(self, congestion: str) -> None:
+        """Bring the devices up, with reno where a namespace may not have the congestion control."""
+        settings = "/proc/sys/net"
+        script = f"""
+            echo {congestion} 2>/dev/null >{settings}/ipv4/tcp_congestion_control ||
+                echo reno >{settings}/ipv4/tcp_congestion_control
+            echo 1 >{settings}/ipv4/tcp_no_metrics_save
+            echo 1 >{settings}/ipv4/conf/all/promote_secondaries
+            without_v6={settings}/ipv6/conf/all/disable_ipv6
+            if [ -e $without_v6 ]; then echo {0 if self.address_v6 else 1} >$without_v6; fi
+            ip link set lo up
+            ip addr add {self.address}/24 dev {DEVICE}
+            {f"ip addr add {self.address_v6}/64 dev {DEVICE} nodad" if self.address_v6 else ""}
+            ip link set {DEVICE} mtu {MTU} up
+        """
+        self.run(["sh", "-ec", script], check=True)
+
+    def move(self, address: str) -> None:
+        """Exchange its IPv4 address, as roaming or DHCP do: sockets that are bound to the old one stay so."""
+        script = f"ip addr add {address}/24 dev {DEVICE}; ip addr del {self.address}/24 dev {DEVICE}"
+        self.run(["sh", "-ec", script], check=True)
+        self.address = address
+        self._radio.ask("move", one=self.name, addresses=self.addresses)
+
+    def close(self) -> None:
+        """End the namespace, once its last process has ended."""
+        assert self._holder.stdin is not None
+        assert self._holder.stdout is not None
+        self._holder.stdin.close()
+        self._holder.stdout.close()
+        self._holder.wait(_PATIENCE)
+
+
+class Radio:
+    """Robots by name, the router between them, and the processes that were started; all end with a `with`.
+
+    Everything is perfect at first. Raises OSError or subprocess.CalledProcessError where `missing` says why.
+    """
+
+    def __init__(self, *names: str, seed: int = 1, congestion: str = "cubic", ipv6: bool = False) -> None:
+        self._open, self._robots = ExitStack(), dict[str, Robot]()
+        with ExitStack() as made:
+            for number, name in enumerate(names, 1):
+                self._robots[name] = Robot(name, number, self, ipv6)
+                made.callback(self._robots[name].close)
+            self._router = self._start_router(seed)
+            made.callback(self._end_router)
+            for robot in self._robots.values():
+                robot.configure(congestion)
+            self._open = made.pop_all()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def __getitem__(self, name: str) -> Robot:
+        return self._robots[name]
+
+    def __iter__(self) -> Iterator[Robot]:
+        return iter(self._robots.values())
+
+    def set(self, cell: Cell) -> None:
+        """Set the radio of all pairs."""
+        self.ask("cell", cell=cell.as_json())
+
+    def set_link(self, link: Link, one: str, other: str) -> None:
+        """Set both directions of one pair, until the next `set`."""
+        self.ask("link", link=asdict(link), one=one, other=other)
+
+    def cut(self, seconds: float, one: str, other: str | None = None) -> float:
+        """Lose all packets of a robot, or of a pair. Returns the monotonic time of the path's return."""
+        self.ask("cut", seconds=seconds, one=one, other=other)
+        return time.monotonic() + seconds
+
+    def mend(self) -> None:
+        """End all cuts."""
+        self.ask("mend")
+
+    def counts(self) -> dict[Flow, Count]:
+        """What was sent since the start or the last `reset`."""
+        return {Flow(*row[:4]): Count(*row[4:]) for row in self.ask("counts")}
+
+    def total(self, port: int | None = None) -> Count:
+        """The sum of all, or of one port."""
+        return sum((c for flow, c in self.counts().items() if port in (None, flow.port)), Count())
+
+    def reset(self) -> None:
+        """Count from here."""
+        self.ask("reset")
+
+    def ask(self, order: str, **words: object) -> Any:
+        """Have the router do something; returns its answer."""
+        assert self._router.stdin is not None
+        assert self._router.stdout is not None
+        self._router.stdin.write(json.dumps({"do": order, **words}) + "\n")
+        self._router.stdin.flush()
+        if not (line := self._router.stdout.readline()):
+            raise OSError("the router of the emulated radio has ended")
+        return json.loads(line)
+
+    def end_later(self, process: subprocess.Popen[Any]) -> None:
+        """Kill a process at the end, unless it has ended."""
+        self._open.callback(_end, process)
+
+    def close(self) -> None:
+        """End what was started, the youngest first."""
+        self._open.close()
+
+    def _start_router(self, seed: int) -> subprocess.Popen[str]:
+        environment = os.environ | {"PYTHONPATH": str(Path(__file__).parents[1])}
+        pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
+        command = [sys.executable, "-m", "emulator.router"]
+        router = subprocess.Popen(command, env=environment, text=True, **pipes)
+        robots = [{"name": r.name, "addresses": r.addresses, "pid": r.pid} for r in self]
+        assert router.stdin is not None
+        assert router.stdout is not None
+        router.stdin.write(json.dumps({"seed": seed, "robots": robots}) + "\n")
+        router.stdin.flush()
+        if not router.stdout.readline():
+            raise OSError("the router of the emulated radio did not start")
+        return router
+
+    def _end_router(self) -> None:
+        assert self._router.stdin is not None
+        assert self._router.stdout is not None
+        self._router.stdin.close()
+        self._router.stdout.close()
+        self._router.wait(_PATIENCE)
+
+
+def _end(process: subprocess.Popen[Any]) -> None:
+    process.kill()
+    process.wait()
+    for pipe in (process.stdout, process.stderr):
+        if pipe is not None:
+            pipe.close()
