@@ -38,10 +38,10 @@ class TcpTransport:
 
     `max_block` is the largest block to take and `max_pending` the most bytes to hold for a peer that does
     not read (by default room for four such blocks); a link over it is closed. `connect_timeout` is in
-    seconds. With `tls` both ends of a TCP link prove who they are and nobody else can read it; without it
-    whoever is there is a stranger, but where addresses do not lie, as in a simulation: `resident` says so.
-    `busy` is the processing time of this thread, by which peers are rationed, and `exempt` that part of it
-    which counts for none of them.
+    seconds, and as long again for the handshake. With `tls` both ends of a TCP link prove who they are and
+    nobody else can read it; without it whoever is there is a stranger, but where addresses do not lie, as in
+    a simulation: `resident` says so. `busy` is the processing time of this thread, by which peers are
+    rationed, and `exempt` that part of it which counts for none of them.
     """
 
     def __init__(
@@ -119,7 +119,7 @@ class TcpTransport:
 
         call = Call(address, calling, self._unanswered)
         try:
-            async with asyncio.timeout(self._connect_timeout):
+            async with asyncio.timeout(self._connect_timeout) as bound:
                 if plain:
                     _, link = await loop.create_unix_connection(calling, str(_path(address)))
                     return link
@@ -128,6 +128,8 @@ class TcpTransport:
                     call.link = link
                     await link.ready()
                     return link
+                # A path that is back after a while has all the time for the handshake.
+                call.on_connected = lambda: bound.reschedule(loop.time() + self._connect_timeout)
                 return await call.linked()
         except TimeoutError:
             if call.link is not None:

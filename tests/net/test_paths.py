@@ -345,7 +345,7 @@ class Caller:
         raise self.errors[len(self.calls) % len(self.errors)]
 
 
-def test_who_does_not_answer_is_called_every_second_and_each_result_is_told_once():
+def test_who_does_not_answer_is_called_twice_a_second_and_each_result_is_told_once():
     errors = [AddressError("b:1", "no answer"), AddressError("b:1", "no way")]
 
     async def story():

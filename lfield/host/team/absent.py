@@ -24,12 +24,14 @@ from lfield.wire.messages import QUESTION, Ping
 
 #: The part of `unreachable_after` after which a host that is away is lost to who would call it.
 LOST_AFTER = 0.5
-#: Seconds without anything from a linked host after which nobody is sent there who need not go.
+#: Seconds without anything from a linked host, beyond the time of an answer, after which nobody is sent there
+#: who need not go.
 SILENT_FOR = 2.0
 #: A host that was heard this many seconds ago need not be asked for a sign of life.
 JUST_NOW = 0.1
-#: Seconds that whoever is over a time limit waits for a sign of life.
-GRACE = 0.3
+#: Seconds that whoever is over a time limit waits for a sign of life, at the least; and at the most, where
+#: answers take long.
+GRACE, MOST_GRACE = 0.3, 2.0
 
 
 class Absent:
@@ -59,8 +61,10 @@ class Absent:
         if heard is None or not self._hearsay.is_linked(host):
             return False
         now = self._clock.monotonic()
-        silent = host in self._hearsay.near and now - heard > SILENT_FOR
-        return silent or (self._is_unanswered(host, heard) and now >= self._asked[host] + GRACE)
+        answer = self._nearby.answers_within(host) or 0.0
+        silent = host in self._hearsay.near and now - heard > SILENT_FOR + answer
+        grace = min(MOST_GRACE, max(GRACE, answer))
+        return silent or (self._is_unanswered(host, heard) and now >= self._asked[host] + grace)
 
     def ask(self, host: str) -> None:
         """Ask a linked host for a sign of life, unless it was heard just now or is being asked."""

@@ -1,7 +1,7 @@
 """The heartbeats of one end of a link: when one is due, what they measure, how long a silence may be. Pure.
 
 On a bad path a message is late and not missing, since TCP repeats it: how late, the heartbeats show. A link
-is given the time that three answers as late as the latest of the last minutes would take, within bounds. So
+is given the time that four answers as late as the latest of the last minutes would take, within bounds. So
 on a calm path a dead link is found as soon as with a fixed time-out, and a silence that is usual on a bad one
 ends no link.
 """
@@ -15,14 +15,16 @@ PING_EVERY = 1.0
 #: at the least; and at the most, since a coordinator that waits for the host has to learn it in time.
 SUSPECT_AFTER, LOST_AFTER, LONGEST = 2.0, 3.0, 8.0
 #: So many answers as late as the latest may be late one after the other.
-LATE_IN_A_ROW = 3.0
+LATE_IN_A_ROW = 4.0
 #: At most so many heartbeats without an answer are remembered.
 MOST_OPEN = 16
 #: The weights of a new sample in the mean and in the variation, and how many variations the bound adds to the
 #: mean (RFC 6298, section 2).
 ALPHA, BETA, VARIATIONS = 1 / 8, 1 / 4, 4.0
+#: What is assumed before the first sample, in seconds (RFC 6298, section 2.1).
+FIRST = 1.0
 #: The latest answer counts for half after so many seconds.
-HALF_LIFE = 300.0
+HALF_LIFE = 600.0
 
 
 class RoundTrip:
@@ -44,7 +46,7 @@ class RoundTrip:
         if sample < 0.0:
             return
         self.last = sample
-        if sample >= self.longest(now):
+        if self.mean is None or sample >= self.longest(now):
             self._longest, self._at = sample, now
         if self.mean is None:
             self.mean, self.variation = sample, sample / 2
@@ -58,9 +60,14 @@ class RoundTrip:
         return None if self.mean is None else self.mean + VARIATIONS * self.variation
 
     def longest(self, now: float) -> float:
-        """The longest sample, which counts for half after HALF_LIFE; not less than `bound`."""
+        """The longest sample, which counts for half after HALF_LIFE; not less than `bound`.
+
+        Before the first sample it is FIRST.
+        """
+        if self.bound is None:
+            return FIRST
         kept: float = self._longest * 2.0 ** ((self._at - now) / HALF_LIFE)
-        return max(kept, self.bound or 0.0)
+        return max(kept, self.bound)
 
 
 class Heartbeats:

@@ -28,6 +28,8 @@ class Call:
 
     def __init__(self, address: str, calling: Callable[[], StreamLink], unanswered: set[Found]) -> None:
         self._address, self._calling, self._unanswered = address, calling, unanswered
+        #: Called when there is a connection: who is there is still to be proven.
+        self.on_connected: Callable[[], None] = lambda: None
         #: The link that is not proven yet.
         self.link: StreamLink | None = None
         self._left: list[Found] = []
@@ -41,6 +43,7 @@ class Call:
         self._left = sorted(found, key=lambda at: at in self._unanswered)
         while True:
             made, at = await first_connected(self._left, self._failures, again=True)
+            self.on_connected()
             self._left = [other for other in self._left if other != at and other not in self._failures]
             _, self.link = await asyncio.get_running_loop().create_connection(self._calling, sock=made)
             try:

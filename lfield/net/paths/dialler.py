@@ -68,8 +68,9 @@ class Dialler:
         self._task.cancel()
 
     async def _run(self) -> None:
-        wait = FIRST_RETRY
+        wait, now = FIRST_RETRY, self._clock.monotonic
         while self._owner.wants(self._host):
+            began = now()
             there = self._owner.link_of(self._host)
             if there is not None and not there.is_suspected:
                 await there.doubtful.wait()
@@ -86,7 +87,8 @@ class Dialler:
                     self._begin_anew()
                 elif reason:
                     self._report(session, reason)
-            await asyncio.sleep(wait)
+            # An attempt that took long has waited already: the path may be back at this moment.
+            await asyncio.sleep(max(FIRST_RETRY, wait - (now() - began)))
             wait = min(LAST_RETRY, wait * 1.5)
 
     async def _dial(self, session: Session) -> str:

@@ -76,7 +76,7 @@ def test_a_link_with_other_messages_is_measured_now_and_then():
     assert not beats.is_due(9.9, 0.1)
 
 
-@pytest.mark.parametrize("beats", [begun(), measured(0.001), measured(0.2)], ids=["none", "LAN", "radio"])
+@pytest.mark.parametrize("beats", [measured(0.001), measured(0.2)], ids=["LAN", "radio"])
 def test_on_a_calm_path_a_link_is_lost_after_three_seconds(beats):
     assert (beats.suspect_after(50.0), beats.lost_after(50.0)) == (SUSPECT_AFTER, LOST_AFTER)
 
@@ -87,8 +87,8 @@ def test_where_answers_come_late_a_silence_may_be_longer():
     for second in range(52, 100):
         beats.answered(beats.send(float(second)), second + 0.05)
     assert 2.5 < beats.suspect_after(100.0) <= 3.0
-    assert 5.0 < beats.lost_after(100.0) <= 6.0
-    assert beats.lost_after(100.0 + 3600.0) == LOST_AFTER
+    assert 6.5 < beats.lost_after(100.0) <= 7.5
+    assert beats.lost_after(100.0 + 7200.0) == LOST_AFTER
 
 
 def test_no_path_is_so_bad_that_a_dead_link_is_never_found():

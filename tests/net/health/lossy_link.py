@@ -1,0 +1,153 @@
+"""A link on a path that loses packets, in virtual time: heartbeats over TCP, which repeats what is lost.
+
+The model is worse than TCP: a sender has one segment under way and sends the next when that is acknowledged,
+and nothing tells of a loss but a time-out. As in TCP, each packet acknowledges all that has come.
+"""
+
+from __future__ import annotations
+
+import heapq
+import itertools
+import random
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from lfield.net.health.heartbeats import PING_EVERY, Heartbeats
+
+
+@dataclass(frozen=True)
+class Path:
+    """One-way `delay` in s, and the share of packets that are lost, each by itself."""
+
+    delay: float
+    loss: float
+
+
+@dataclass(frozen=True)
+class Kernel:
+    """The time-out beyond the round trip and the longest one, in s; so many time-outs do not double."""
+
+    margin: float
+    longest: float
+    linear: int = 6
+
+
+class Simulation:
+    """Virtual time, and what is to happen in it."""
+
+    def __init__(self, seed: int, path: Path, kernel: Kernel) -> None:
+        self.now, self.path, self.kernel = 0.0, path, kernel
+        self.dice = random.Random(seed)
+        self._due: list[tuple[float, int, Callable[[], None]]] = []
+        self._order = itertools.count()
+
+    def later(self, seconds: float, what: Callable[[], None]) -> None:
+        """Do it then."""
+        heapq.heappush(self._due, (self.now + seconds, next(self._order), what))
+
+    def carry(self, what: Callable[[], None]) -> None:
+        """A packet is sent: what it does when it arrives."""
+        if self.dice.random() >= self.path.loss:
+            self.later(self.path.delay, what)
+
+    def run(self, seconds: float) -> None:
+        """Let so much time pass."""
+        while self._due and self._due[0][0] <= seconds:
+            self.now, _, what = heapq.heappop(self._due)
+            what()
+
+
+class Sender:
+    """One direction of a connection; `back` is the other."""
+
+    def __init__(self, simulation: Simulation, deliver: Callable[[tuple[str, int]], None]) -> None:
+        self._simulation, self._deliver, self.back = simulation, deliver, self
+        self._queue: list[tuple[str, int]] = []
+        self._segment: list[tuple[str, int]] = []
+        self._number = self._arrived = self._tries = 0
+
+    def send(self, message: tuple[str, int]) -> None:
+        """Queue a message."""
+        self._queue.append(message)
+        if not self._segment:
+            self._next()
+
+    def _next(self) -> None:
+        self._segment, self._queue = self._queue, []
+        self._number, self._tries = self._number + 1, 0
+        if self._segment:
+            self._transmit(self._number)
+
+    def _transmit(self, number: int) -> None:
+        if number != self._number or not self._segment:
+            return
+        simulation, kernel = self._simulation, self._simulation.kernel
+        segment, acknowledged = self._segment, self.back._arrived
+        simulation.carry(lambda: self._arrives(number, segment, acknowledged))
+        doublings = max(0, self._tries - kernel.linear + 1)
+        timeout = min(kernel.longest, (2 * simulation.path.delay + kernel.margin) * 2.0**doublings)
+        self._tries += 1
+        simulation.later(timeout, lambda: self._transmit(number))
+
+    def _arrives(self, number: int, segment: list[tuple[str, int]], acknowledged: int) -> None:
+        self.back._acknowledged(acknowledged)
+        if number > self._arrived:
+            self._arrived = number
+            for message in segment:
+                self._deliver(message)
+        self._simulation.carry(lambda: self._acknowledged(number))
+
+    def _acknowledged(self, number: int) -> None:
+        if number == self._number and self._segment:
+            self._segment = []
+            self._next()
+
+
+class End:
+    """One end of a link, as `lfield.net.peers` keeps it: a look each second."""
+
+    def __init__(self, simulation: Simulation, *, first: bool) -> None:
+        self.beats = Heartbeats(first=first)
+        self.beats.begin(0.0)
+        self.heard = 0.0
+        #: When it gave the link up, and each longest silence before something came.
+        self.lost: list[float] = []
+        self.silences: list[float] = []
+        self.simulation, self.other = simulation, self
+        self.sender = Sender(simulation, self._deliver)
+        simulation.later(PING_EVERY * (0.3 if first else 0.8), self._look)
+
+    def _deliver(self, message: tuple[str, int]) -> None:
+        """What this end has sent arrives at the other."""
+        self.other.takes(*message)
+
+    def takes(self, kind: str, token: int) -> None:
+        """A message has come."""
+        now = self.simulation.now
+        self.silences.append(now - self.heard)
+        self.heard = now
+        if kind == "ping":
+            self.beats.received()
+            self.sender.send(("pong", token))
+        else:
+            self.beats.answered(token, now)
+
+    def _look(self) -> None:
+        now = self.simulation.now
+        silent = now - self.heard
+        if silent > self.beats.lost_after(now):
+            self.lost.append(now)
+            self.heard = now
+        elif self.beats.is_due(now, silent):
+            self.sender.send(("ping", self.beats.send(now)))
+        self.simulation.later(PING_EVERY, self._look)
+
+
+def ends_after(seconds: float, path: Path, kernel: Kernel, seed: int) -> tuple[End, End]:
+    """Both ends of a link that was kept for so many seconds."""
+    simulation = Simulation(seed, path, kernel)
+    near, far = End(simulation, first=True), End(simulation, first=False)
+    near.other, far.other = far, near
+    near.sender.back, far.sender.back = far.sender, near.sender
+    simulation.run(seconds)
+    return near, far

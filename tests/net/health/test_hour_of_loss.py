@@ -1,0 +1,41 @@
+"""No link is given up falsely in an hour at 20 % loss; a dead one is found all the same."""
+
+import pytest
+from lossy_link import Kernel, Path, ends_after
+
+from lfield.net.health import heartbeats
+from lfield.net.health.heartbeats import LONGEST, LOST_AFTER, PING_EVERY
+
+HOUR = 3600.0
+#: Kernels that have all options of `tcp_options`, and those that have linear time-outs alone.
+RECENT, OLD = Kernel(0.02, 1.0), Kernel(0.2, 120.0)
+NEAR, FAR = Path(0.01, 0.2), Path(0.1, 0.2)
+
+
+@pytest.mark.few(2)
+@pytest.mark.parametrize("seed", range(20))
+@pytest.mark.parametrize("path", [NEAR, FAR], ids=["20 ms", "200 ms"])
+@pytest.mark.parametrize("kernel", [RECENT, OLD], ids=["recent", "old"])
+def test_no_link_is_given_up_in_an_hour_at_20_percent_loss(kernel, path, seed):
+    for end in ends_after(HOUR, path, kernel, seed):
+        assert end.lost == []
+        assert end.beats.round_trip.mean is not None
+
+
+def test_the_same_with_a_fixed_time_out_is_too_short(monkeypatch):
+    """So the hour above is hard enough to tell a good time-out from a bad one."""
+    monkeypatch.setattr(heartbeats, "LONGEST", LOST_AFTER)
+    lost = [end.lost for seed in range(3) for end in ends_after(HOUR, FAR, OLD, seed)]
+    assert any(lost)
+
+
+@pytest.mark.parametrize(
+    ("path", "within"), [(Path(0.01, 0.0), LOST_AFTER), (FAR, LONGEST)], ids=["calm", "lossy"]
+)
+def test_a_path_that_is_gone_is_found(path, within):
+    near, far = ends_after(60.0, path, OLD, seed=1)
+    simulation = near.simulation
+    simulation.path = Path(path.delay, 1.0)
+    simulation.run(90.0)
+    for end in (near, far):
+        assert 0.0 < end.lost[0] - 60.0 <= within + PING_EVERY

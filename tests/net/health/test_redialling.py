@@ -1,0 +1,185 @@
+"""Calls that go on beside what is silent: fresh attempts at an address, and a new link beside an old one."""
+
+from __future__ import annotations
+
+import asyncio
+import socket
+
+import pytest
+
+from lfield import connecting
+from lfield.connecting import AGAIN, ATTEMPT, first_connected
+from lfield.errors import AddressError
+from lfield.net.owner import Refusals
+from lfield.net.paths.dialler import LAST_RETRY, Dialler
+from lfield.net.session import Session
+from lfield.simulate.time import LoopClock, run_jumping
+
+PLACE = (socket.AF_INET, ("192.0.2.1", 7001))
+
+
+class Path:
+    """Attempts at addresses in place of sockets: each is answered 0.1 s after it began if the path is there
+    at that moment, which it is from `back` on, and else never."""
+
+    def __init__(self, monkeypatch, back: float, *, refuses: bool = False) -> None:
+        self.back, self.start, self.refuses = back, 0.0, refuses
+        self.began: list[float] = []
+        self.open = self.most = self.closed = 0
+        monkeypatch.setattr(connecting, "_connected", self.connected)
+
+    async def connected(self, family, address):
+        loop = asyncio.get_running_loop()
+        self.began.append(loop.time())
+        self.open += 1
+        self.most = max(self.most, self.open)
+        try:
+            if loop.time() < self.start + self.back:
+                await asyncio.sleep(3600.0)
+            await asyncio.sleep(0.1)
+            if self.refuses:
+                raise ConnectionRefusedError("refused")
+            return self
+        finally:
+            self.open -= 1
+
+    def close(self):
+        self.closed += 1
+
+
+def race(path: Path, *places, again: bool = True):
+    """When a socket was there, and what had failed."""
+
+    async def story():
+        failures: dict = {}
+        path.start = asyncio.get_running_loop().time()
+        async with asyncio.timeout(60.0):
+            made, at = await first_connected(places or (PLACE,), failures, again=again)
+        await asyncio.sleep(1.0)
+        return asyncio.get_running_loop().time() - path.start - 1.0, made, at, failures
+
+    return run_jumping(story())
+
+
+@pytest.mark.parametrize("back", [0.0, 0.3, 5.0, 30.0])
+def test_an_attempt_begins_at_most_half_a_second_after_the_path_is_back(monkeypatch, back):
+    path = Path(monkeypatch, back)
+    at, made, where, failures = race(path)
+    assert at <= back + AGAIN + 0.1 + 1e-6
+    assert (made, where, failures) == (path, PLACE, {})
+    assert path.open == 0
+
+
+def test_few_attempts_are_under_way_at_once(monkeypatch):
+    path = Path(monkeypatch, 30.0)
+    race(path)
+    assert path.most <= ATTEMPT / AGAIN + 1
+    assert len(path.began) <= 30.0 / AGAIN + 2
+
+
+def test_whoever_does_not_ask_for_it_makes_one_attempt(monkeypatch):
+    path = Path(monkeypatch, 5.0)
+    with pytest.raises(TimeoutError):
+        race(path, again=False)
+    assert len(path.began) == 1
+
+
+def test_an_address_that_refuses_is_not_tried_again(monkeypatch):
+    path = Path(monkeypatch, 0.0, refuses=True)
+    with pytest.raises(ConnectionRefusedError):
+        race(path)
+    assert len(path.began) == 1
+
+
+def test_attempts_that_answer_too_late_are_closed(monkeypatch):
+    """Two are answered: one is used."""
+    path = Path(monkeypatch, 0.0)
+    other = (socket.AF_INET, ("192.0.2.2", 7001))
+    monkeypatch.setattr(connecting, "STAGGER", 0.0)
+    _, made, _, _ = race(path, PLACE, other)
+    assert made is path
+    assert path.closed == len(path.began) - 1
+
+
+class Silent:
+    """Who has a link with bravo that may fall silent, and calls it; calls are answered as `answer` says."""
+
+    def __init__(self) -> None:
+        self.link, self.calls, self.taken = Session(self, None), list[float](), list[str]()
+        self.refusals = Refusals(["bravo"])
+        self.on_call = lambda: None
+
+    def wants(self, host):
+        return True
+
+    def link_of(self, host):
+        return self.link
+
+    def barred_for(self, host):
+        return 0.0
+
+    def called(self, host):
+        pass
+
+    def now(self):
+        return asyncio.get_running_loop().time()
+
+    async def connect(self, address, handler):
+        self.calls.append(self.now())
+        await asyncio.sleep(0.2)
+        self.on_call()
+        raise AddressError(address, "no answer")
+
+
+def test_a_silent_link_is_dialled_beside_and_no_more_when_it_has_woken_up():
+    async def story():
+        owner = Silent()
+        dialler = Dialler(owner, owner, LoopClock(), "bravo", "b:1", lambda text: None)
+        await asyncio.sleep(10.0)
+        assert owner.calls == []
+        owner.link.suspect()
+        await asyncio.sleep(5.0)
+        assert len(owner.calls) >= 5.0 / LAST_RETRY - 1
+        # Something comes over it.
+        owner.link.linked_at = 0.0
+        owner.link._taken(None)
+        assert not owner.link.is_suspected
+        count = len(owner.calls)
+        await asyncio.sleep(5.0)
+        assert len(owner.calls) <= count + 1
+        dialler.cancel()
+
+    run_jumping(story())
+
+
+class Opened:
+    """A connection that was made."""
+
+    def __init__(self) -> None:
+        self.closed = False
+
+    def close(self) -> None:
+        self.closed = True
+
+
+@pytest.mark.parametrize("wakes", [True, False])
+def test_a_connection_is_used_unless_the_old_link_has_woken_up_meanwhile(wakes):
+    async def story():
+        owner, opened, used = Silent(), Opened(), []
+
+        async def connect(address, session):
+            session.begin = used.append
+            await asyncio.sleep(0.2)
+            if wakes:
+                owner.link.is_suspected = False
+            session.over.set()
+            return opened
+
+        owner.connect = connect
+        owner.link.suspect()
+        dialler = Dialler(owner, owner, LoopClock(), "bravo", "b:1", lambda text: None)
+        await asyncio.sleep(0.25)
+        dialler.cancel()
+        assert (opened.closed, used) == (wakes, [] if wakes else [opened])
+
+    run_jumping(story())
