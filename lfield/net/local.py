@@ -10,8 +10,7 @@ from lfield.errors import AddressError, UsageError
 from lfield.net.paths.listener import bound
 from lfield.net.paths.names import numbers_of
 from lfield.net.paths.reasons import refusal
-from lfield.net.stream import socket_address
-from lfield.net.transport import split_address
+from lfield.net.transport import socket_address, split_address
 
 
 def own_host(hosts: Sequence[str]) -> str:

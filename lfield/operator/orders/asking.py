@@ -69,9 +69,9 @@ class _Host:
     named: bytes
     known: Known | None = None
     certificate: bytes = b""
-    #: Whether it has answered this order itself, and whether it is executing it.
+    #: Whether it has answered this order itself, and how often it has said that it is executing it.
     has_answered: bool = False
-    is_received: bool = False
+    receipts: int = 0
     #: How many datagrams were sent, how many of those since the latest answer, and when each was.
     attempts: int = 0
     unanswered: int = 0
@@ -123,7 +123,7 @@ class Asking:
     def received(self) -> frozenset[str]:
         """The hosts that are executing the order, or have executed it."""
         done = (name for name, host in self._hosts.items() if isinstance(host.result, Confirmed))
-        return frozenset((*done, *(name for name, host in self._hosts.items() if host.is_received)))
+        return frozenset((*done, *(name for name, host in self._hosts.items() if host.receipts)))
 
     @property
     def epochs(self) -> dict[str, Epochs]:
@@ -231,8 +231,8 @@ class Asking:
             host.epochs = answer.epochs
         match answer:
             case Received():
-                if not host.is_received:
-                    host.is_received = True
+                host.receipts += 1
+                if host.receipts == 1:
                     self._plan(host, now)
             case Challenge():
                 self._challenged(name, host, answer.epochs, now)
@@ -297,7 +297,7 @@ class Asking:
             host.due = None
 
     def _plan(self, host: _Host, now: float) -> None:
-        host.due = now + self._pause(host) * (EXECUTING if host.is_received else 1.0)
+        host.due = now + self._pause(host) * min(EXECUTING, max(1, host.receipts))
 
     def _pause(self, host: _Host) -> float:
         waiting = [one for one in self._hosts.values() if one.result is None]
