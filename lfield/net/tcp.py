@@ -15,9 +15,10 @@ from lfield.loop import Simulated
 from lfield.net.datagrams.port import DatagramPort, Reader, Serving, beside
 from lfield.net.paths.call import Call
 from lfield.net.paths.listener import PortListener, SocketListener
+from lfield.net.paths.names import socket_address
 from lfield.net.paths.reasons import refusal
 from lfield.net.stream import StreamLink, TlsLink, nobody_known
-from lfield.net.transport import UNIX, socket_address, split_address
+from lfield.net.transport import UNIX, split_address
 from lfield.net.waiting.reception import Reception
 
 if TYPE_CHECKING:

@@ -9,7 +9,6 @@ All calls and callbacks happen on one thread. Callbacks never happen inside `sen
 
 from __future__ import annotations
 
-import socket
 from ipaddress import ip_address
 from typing import TYPE_CHECKING, Protocol
 
@@ -27,8 +26,6 @@ if TYPE_CHECKING:
 
 #: What the address of a Unix socket begins with; the path follows.
 UNIX = "unix:"
-#: Whoever called at a Unix socket, in sentences: it has no address.
-CALLER = "a command on this computer"
 #: The port of a host whose address gives none (chapter IV, figure 4.9).
 DEFAULT_PORT = 8181
 
@@ -146,22 +143,6 @@ def split_address(address: str) -> tuple[str, int]:
 def join_address(host: str, port: int) -> str:
     """The inverse of `split_address`."""
     return f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
-
-
-def socket_address(name: str | tuple[str, int] | tuple[str, int, int, int]) -> str:
-    """The address of a socket, as transports have them: IPv6 in brackets, with its zone if it has one."""
-    if isinstance(name, str):
-        return f"{UNIX}{name}" if name else CALLER
-    host, port, zone = name[0], name[1], name[3] if len(name) == 4 else 0
-    if host.startswith("::ffff:") and "." in host:
-        # Of a socket for both families.
-        host = host.removeprefix("::ffff:")
-    if zone and "%" not in host:
-        try:
-            host = f"{host}%{socket.if_indextoname(zone)}"
-        except OSError:
-            host = f"{host}%{zone}"
-    return join_address(host, port)
 
 
 def is_lasting(host: str) -> bool:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import random
+import socket
 
 import pytest
 
@@ -20,6 +21,15 @@ from lfield.wire.messages import Ping, Room
 from lfield.wire.observing import EmergencyStop, EmergencyStopped
 
 STOP = EmergencyStop(bytes(16), "fire")
+
+
+class NoSocket:
+    """Takes every option."""
+
+    family = socket.AF_INET
+
+    def setsockopt(self, level, option, value) -> None:
+        pass
 
 
 class Slow(asyncio.Transport):
@@ -51,10 +61,8 @@ class Slow(asyncio.Transport):
         self._link.resume_writing()
 
     def get_extra_info(self, name, default=None):
-        import socket
-
         if name == "socket":
-            return socket.socket()
+            return NoSocket()
         return ("10.0.0.1", 6000) if name == "peername" else default
 
     def set_write_buffer_limits(self, high=None, low=None) -> None:
