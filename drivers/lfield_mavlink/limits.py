@@ -128,6 +128,11 @@ class Limits:
         return min(self._altitude, self._radius) < math.inf
 
     @property
+    def places(self) -> tuple[float, float]:
+        """The greatest distance from home and the greatest height about it, in metres; inf for none."""
+        return self._radius, self._altitude
+
+    @property
     def bounds_anything(self) -> bool:
         """Whether the binding has any limit."""
         return min(self._altitude, self._radius, self._speed) < math.inf

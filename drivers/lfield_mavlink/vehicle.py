@@ -83,11 +83,12 @@ class MavlinkVehicle(Contact):
         self._keeper = LimitKeeper(self, self.motion)
         self._nature = Nature(self, self.parameters, self.motion.fence, binding)
         self._guidance = Guidance(self, self.motion, limits)
+        self._missions = Missions(self, self.motion, limits, self.plans, returns)
         self.parts = (
             self._flight,
             readiness,
             self._guidance,
-            Missions(self, self.motion, limits, self.plans, returns),
+            self._missions,
             Fences(self, self.plans, self.parameters),
             Rally(self, self.plans),
             Payload(self),
@@ -226,7 +227,9 @@ class MavlinkVehicle(Contact):
             self._streams.keep(),
             self._health.keep(),
             self._keeper.keep(),
+            self._missions.keep(),
             self.motion.speed.keep(),
+            self.motion.hover.keep(),
             self._guidance.keep(),
             self._nature.keep(),
             self.motion.monitor.keep(),

@@ -50,11 +50,17 @@ UNANSWERED = 60
 OPEN_BOUND, STOP_BOUND = 60.0, 5.0
 #: Seconds for a guard to end that shall not wait for its devices any longer.
 AT_ONCE = 1.0
-#: Seconds before a guard that died is started again: the first time, and at most.
+#: Seconds before a guard that died is started again: when it died soon after it was ready, and at most. One
+#: that lived longer is started at once: an autopilot's failsafe waits for no more than 2 s.
 AGAIN_FIRST, AGAIN_LAST = 0.2, 5.0
 
 #: Why devices are made safe when the host ends in order.
 STOPPING = "the host is stopping"
+
+
+def pause_before(lived: float) -> float:
+    """Seconds to wait before a guard is started again that died `lived` seconds after it was ready."""
+    return 0.0 if lived > AGAIN_LAST else AGAIN_FIRST
 
 
 class Guard(asyncio.SubprocessProtocol):
@@ -90,7 +96,7 @@ class Guard(asyncio.SubprocessProtocol):
         # Set when the devices are open or never will be, and when this guard has ended for good.
         self._settled, self._over = asyncio.Event(), asyncio.Event()
         self._ready = self._stopping = self._hurried = self._spoken = False
-        self._unanswered = 0
+        self._unanswered, self._ready_at = 0, -math.inf
         self._calls = Calls()
         self._unsafe: dict[str, str] | None = None
         #: Which of its devices are held in a safe state, and why.
@@ -190,7 +196,7 @@ class Guard(asyncio.SubprocessProtocol):
 
     async def _restart(self) -> None:
         """Start the process again until it works; its devices come back safe."""
-        pause = AGAIN_FIRST
+        pause = pause_before(self._clock.monotonic() - self._ready_at)
         while True:
             await asyncio.sleep(pause)
             try:
@@ -199,7 +205,7 @@ class Guard(asyncio.SubprocessProtocol):
                     self._send(Stop(STOPPING, at_once=self._hurried))
                 return
             except DevicesError as error:
-                pause = min(2 * pause, AGAIN_LAST)
+                pause = min(max(2 * pause, AGAIN_FIRST), AGAIN_LAST)
                 self._note(f"the guard cannot be started again yet: {error}")
 
     def make_safe(self, device: str, reason: str, state: str = "") -> None:
@@ -348,7 +354,7 @@ class Guard(asyncio.SubprocessProtocol):
             case Ready(identities) if not identities.keys() <= self._devices.keys():
                 raise WireError(f"devices that it does not guard: {', '.join(identities)}")
             case Ready(identities) if self._stopping or not self._opening.done():
-                self.identities, self._ready = identities, True
+                self.identities, self._ready, self._ready_at = identities, True, self._clock.monotonic()
                 self._settled.set()
                 if not self._opening.done():
                     self._opening.set_result(None)

@@ -29,6 +29,7 @@ from lfield.host.team.coordinators import Coordinators
 from lfield.host.team.keeping import orders_in
 from lfield.host.team.leases import Leases
 from lfield.host.team.policy import Policies
+from lfield.host.team.relays import Relays
 from lfield.host.team.reserving import Reserving
 from lfield.host.team.world import HostWorld
 from lfield.journal.pages import Key, Page
@@ -43,7 +44,7 @@ from lfield.vm.agent import Agent
 from lfield.vm.contract import Engines
 from lfield.vm.machine import Machine
 from lfield.wire.coordinators import Ended, EndedAck, Known, Transfer
-from lfield.wire.messages import Control, Heard, Hello, Pong, Report, Room
+from lfield.wire.messages import Control, Heard, Hello, Pong, Relayed, Report, Room
 from lfield.wire.observing import Recover, Recovered, Status
 from lfield.wire.quorum import QuorumMessage
 from lfield.wire.reservations import ReservationMessage
@@ -96,8 +97,9 @@ class HostCore:
         self.orders = Executed(draw or dice.randbytes, orders_in(pages))
         own = self._hello([])
         self._hops = hops = Hops(teller, machine, name, self.team)
+        self._relays = relays = Relays(self.team.hosts, name, incarnation, clock, self._out)
         self.coordinators = team = Coordinators(
-            mission, own, machine, clock, self._out, unreachable_after, pages, times or {}, hops
+            mission, own, machine, clock, relays.send, unreachable_after, pages, times or {}, hops
         )
         self.directory = TeamDirectory(mission, name, incarnation, machine, nearby, clock)
         #: The leases of coordinators that a majority may recover.
@@ -105,15 +107,17 @@ class HostCore:
         team.barred, self.mobility = leases.quorum.fences.bars, team.mobility
         self._begun = BegunPages(own.mission, team, leases, machine, clock, pages, keeps=bool(memory))
         self.hearsay = Hearsay(self.team.hosts, self.here, incarnation, clock.monotonic(), neighbours)
+        relays.join(self.hearsay, team)
         self.reserving = Reserving(
             mission, own, team, leases, machine, clock, self._out, self.hearsay.is_linked, pages
         )
         self.directory.reserved = self.reserving.by
-        self._inits = Inits(machine.opening, self._say)
-        self._policies = Policies(mission.devices_of(name))
+        self._inits, self._policies = Inits(machine.opening, self._say), Policies(mission.devices_of(name))
         #: The instructions to devices that are under way.
         self.commands = Commands(machine, nearby, leases, self._policies, clock, self._out, teller)
-        absent = Absent(nearby, self.hearsay, clock, unreachable_after, self.mobility, self._out)
+        self._absent = absent = Absent(
+            nearby, self.hearsay, clock, unreachable_after, self.mobility, self._out
+        )
         machine.attached.signs = SignsOfLife(absent, self.team.hosts)
         offers = Offers(self.directory, mission)
         self.world.join(team, leases, self._begun, self.reserving, self.commands, offers, absent)
@@ -121,9 +125,8 @@ class HostCore:
         self.startup = startup = Beginning(
             mission, name, team, leases, clock, self._out, nearby, self.hearsay, teller, kept=bool(memory)
         )
-        #: What may have something to do at a time.
-        self._timed: list[Timed] = [team, self.directory, self.hearsay, self._policies, self._inits, startup]
-        self._timed += [leases] if leases.fenced else []
+        self._timed: list[Timed] = [team, relays, self.directory, self.hearsay, self._policies, self._inits]
+        self._timed += [startup, leases] if leases.fenced else [startup]
         self._timed += [self.reserving] if self._reserves else []
 
     # --- out ------------------------------------------------------------------------------------------
@@ -183,6 +186,7 @@ class HostCore:
             self._effects += self.directory.tick(now)
         if self.hearsay.due is not None and now >= self.hearsay.due:
             self._effects += [mobile.Send(host, news) for host, news in self.hearsay.tell(now)]
+        self._relays.tick(now)
         is_leased = self.leases.fenced and self.leases.tick(now)
         if is_leased or ((due := self.startup.due) is not None and now >= due):
             self.startup.look()
@@ -192,7 +196,6 @@ class HostCore:
         if self._reserves:
             self.reserving.look()
         pause = None if self.coordinators.halted or self.coordinators.paused else self.programs.run()
-        self.coordinators.answer()
         self._inits.look(now)
         # A portal that has ended may be what somebody waits for who wants to reserve its resource.
         if self._reserves and self.reserving.look():
@@ -231,6 +234,7 @@ class HostCore:
         self.leases.wake()
         came = set(self.machine.agents)
         self.coordinators.wake()
+        self._relays.arm()
         for name in self.machine.agents.keys() - came:
             self.teller.started(name, self.machine.agents[name].generation, kept=True)
         self._begun.woken()
@@ -259,7 +263,9 @@ class HostCore:
             return self._inits.waits(agent)
         if self.leases.is_waiting(agent):
             return "waits for a majority"
-        return self.reserving.waits(agent) or self.coordinators.waits(agent)
+        return self.reserving.waits(agent) or words.waits(
+            self.coordinators, self.machine, self.team.hosts, agent
+        )
 
     def not_kept(self, why: str) -> None:
         """The disk takes nothing: what waits for it goes on waiting, and is tried again."""
@@ -304,9 +310,9 @@ class HostCore:
 
     def wanted(self) -> set[str]:
         """The hosts to have links with now: the neighbours, and whoever is waited for."""
-        near = self.hearsay.wanted(self._clock.monotonic())
-        needed = self.mobility.wanted() | self.leases.wanted | self.reserving.wanted
-        return {*near, *self.startup.wanted, *needed} - {self.name}
+        waited = self.mobility.wanted() | self.leases.wanted | self.reserving.wanted
+        waited.update(self.startup.wanted, self.hearsay.wanted(self._clock.monotonic()))
+        return waited - {self.name}
 
     def told(self, host: str, status: Status) -> None:
         """A host that was asked says how it is, and what it knows of coordinators."""
@@ -345,6 +351,7 @@ class HostCore:
             self._effects.append(mobile.Send(hello.host, self.coordinators.room))
         self.coordinators.carry_out(self.mobility.linked(hello))
         self.reserving.linked()
+        self._relays.arm()
         self.startup.look()
         self._effects.append(CHANGED)
 
@@ -356,6 +363,7 @@ class HostCore:
         self.mobility.unlinked(host)
         self.directory.unlinked(host)
         self.hearsay.unlinked(host, self._clock.monotonic())
+        self._relays.arm()
         self.startup.unlinked(host)
         self.startup.look()
         self._effects.append(CHANGED)
@@ -363,7 +371,7 @@ class HostCore:
     def arrived(self, host: str, header: Transfer, block: memoryview) -> None:
         """A coordinator came: it runs before its sender gets an answer."""
         self._hops.arrives(host, header)
-        self.coordinators.arrived(host, header, block)
+        self.coordinators.arrived(host, header, block, self._absent.transit(host))
 
     def too_large(self, host: str, header: Transfer, size: int) -> None:
         """A coordinator came whose block was not even read."""
@@ -380,6 +388,8 @@ class HostCore:
             self.coordinators.carry_out(self.mobility.room(host, message.trouble))
         elif isinstance(message, Heard):
             self.hearsay.told(host, message, self._clock.monotonic())
+        elif isinstance(message, Relayed):
+            self._relays.received(host, message)
         elif isinstance(message, QuorumMessage):
             self.leases.received(host, message)
         elif isinstance(message, ReservationMessage):
@@ -388,8 +398,6 @@ class HostCore:
             self.coordinators.carry_out(self.mobility.receive(host, message, self._clock.monotonic()))
             if isinstance(message, Ended | EndedAck):
                 self._effects.append(CHANGED)
-
-    # --- events of devices ----------------------------------------------------------------------------
 
     def answered(self, asked: Call, value: DeviceValue | DeviceError) -> None:
         """What became of a call of a device."""

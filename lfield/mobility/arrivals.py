@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 from lfield.mobility.copies import MAX_STARTS, Copies, Copy
 from lfield.mobility.departures import LIMIT, UNREACHABLE
 from lfield.mobility.effects import Effect, Go, Note, Refusal, Send
+from lfield.mobility.generations import stops, why_stopped
 from lfield.wire.coordinators import NEVER_ARRIVED, SUPERSEDED, Accepted, Inquire, Known, Refused, Transfer
 from lfield.wire.fields import clip
 
@@ -70,7 +71,8 @@ class Arrivals:
     def inquire(self, host: str, message: Inquire) -> list[Effect]:
         """What became of a transfer? One that was never seen is refused for good, should it still come."""
         if message.receiver_memory != self._memory:
-            return [self._late(host, message)]
+            proof = self.vouch(message)
+            return [Send(host, proof)] if proof else [self._late(host, message)]
         copy = self._copies.enter(message.agent, message.generation)
         if copy is None:
             return [Send(host, _refused(message, _NEVER_ARRIVED))]
@@ -81,6 +83,21 @@ class Arrivals:
             effects += self._copies.keep(copy)
         effects.append(Send(host, _verdict(copy, message)))
         return effects
+
+    def vouch(self, asked: Inquire) -> Accepted | Refused | None:
+        """What this host can prove about a transfer to another host or memory; None for nothing.
+
+        A higher number of that start is given out only by the copy that the transfer became.
+        """
+        copies = self._copies.of(asked.agent)
+        copy = self._copies.find(asked.agent, asked.generation)
+        if copy is not None and copy.sequence > asked.sequence:
+            return _verdict(copy, asked)
+        for other in copies:
+            if stops(other.generation, asked.generation, alive=False):
+                reason = why_stopped(asked.agent, asked.generation, other.generation, self._own.host)
+                return _refused(asked, Refusal(SUPERSEDED, reason))
+        return None
 
     def _decide(self, copy: Copy, header: Transfer, block: Buffer) -> list[Effect]:
         """Decide on a number not seen before: the verdict is kept before anybody hears of it."""

@@ -93,6 +93,16 @@ class Copy:
         """Whether this copy was in doubt when it had to leave the machine, and still is."""
         return self.state == "MOVED" and bool(self.doubt)
 
+    @property
+    def is_unanswered(self) -> bool:
+        """Whether it was sent, and what became of that is not known."""
+        return self.state == "PREPARED" or self.gave_way
+
+    @property
+    def awaits_answer(self) -> bool:
+        """`is_unanswered`, and in the machine, as what is restored is not before it is woken."""
+        return self.is_unanswered and not (self.restored and self.seal is None)
+
     def known(self) -> Known:
         """What other hosts and `lfield ps` are told."""
         state = "IN DOUBT" if self.doubt else self.state

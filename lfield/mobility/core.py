@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
     from lfield.journal.pages import CopyPage
     from lfield.mobility.copies import Copy
-    from lfield.mobility.effects import Effect, Refusal
+    from lfield.mobility.effects import Effect, Refusal, Send
     from lfield.mobility.fates import Fate
     from lfield.wire.coordinators import Outcome
     from lfield.wire.framing import Buffer
@@ -247,6 +247,14 @@ class Mobility:
     def answered(self, host: str) -> list[Effect]:
         """The sign of life has come."""
         return self._departures.answered(host)
+
+    def questions(self) -> list[tuple[Send, bool]]:
+        """What to ask through other hosts, as there is no link; and whether it is about a copy in doubt."""
+        return self._departures.questions()
+
+    def vouch(self, asked: Inquire) -> Accepted | Refused | None:
+        """What this host can prove about a transfer that was sent to another one."""
+        return self._arrivals.vouch(asked)
 
     def unlinked(self, host: str) -> None:
         """The last link to a host is gone. What was on its way may have arrived or not."""

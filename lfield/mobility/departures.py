@@ -61,6 +61,16 @@ class Departures:
                 effects += [] if copy.restored and copy.seal is None else self._take_up(copy, peer)
         return effects
 
+    def questions(self) -> list[tuple[Send, bool]]:
+        """What is to be asked through other hosts, since the link is gone or its host does not know it any
+        more; and whether the copy is in doubt."""
+        waiting = (copy for copy in self._copies if copy.awaits_answer)
+        return [
+            (_question(copy), bool(copy.doubt))
+            for copy in waiting
+            if copy.target not in self._links or self._links[copy.target].remembers != copy.memory
+        ]
+
     def unlinked(self, host: str) -> None:
         """The link to a host is gone, and with it what that has said of its room: it may be dead."""
         self._full.pop(host, None)
@@ -96,16 +106,19 @@ class Departures:
         return [effect for copy in waiting for effect in self._send(copy)]
 
     def accepted(self, host: str, message: Accepted) -> list[Effect]:
-        """The receiver has it: the commit point, seen from here."""
-        copy = self._under_way(host, message)
+        """The receiver has it, or it has gone on from there: the commit point, seen from here.
+
+        Any host may know that it has gone on.
+        """
+        copy = self._under_way(message)
         return [] if copy is None else self.moved(copy)
 
     def refused(self, host: str, message: Refused, now: float) -> list[Effect]:
         """The receiver has it not, and never will under this number."""
-        copy = self._under_way(host, message)
-        if copy is None:
+        copy = self._under_way(message)
+        if copy is None or (copy.target != host and message.kind != SUPERSEDED):
             return []
-        if copy.gave_way:
+        if copy.gave_way and message.kind != SUPERSEDED:
             copy.end("lost", f"{host} did not take it, and the copy here had given way", self._own.host)
             return []
         copy.doubt = ""
@@ -123,7 +136,7 @@ class Departures:
         Numbers beyond its own are given out only by the copy that it became.
         """
         copy = self._copies.find(known.agent, known.generation)
-        if copy is None or not (copy.state == "PREPARED" or copy.gave_way):
+        if copy is None or not copy.is_unanswered:
             return []
         if self._copies.kept and (host, memory) == (copy.target, copy.memory):
             # What it says of itself may not be on its disk yet. It answers for that transfer when it is.
@@ -209,7 +222,7 @@ class Departures:
         if copy.state == "FROZEN":
             return self._send(copy)
         if peer.remembers == copy.memory:
-            return [Send(peer.host, Inquire(copy.agent, copy.generation, copy.sequence, copy.memory))]
+            return [_question(copy)]
         if copy.gave_way:
             return []
         return self._doubt(
@@ -233,9 +246,13 @@ class Departures:
             copy.restored = False
         return [Resume(copy.agent, copy.generation, copy.sequence, kind, clip(reason))]
 
-    def _under_way(self, host: str, answer: Accepted | Refused) -> Copy | None:
-        """The copy that an answer is about, if it still waits for that answer from that host."""
+    def _under_way(self, answer: Accepted | Refused) -> Copy | None:
+        """The copy that an answer is about, if it still waits for that answer."""
         copy = self._copies.find(answer.agent, answer.generation)
-        if copy is None or not (copy.state == "PREPARED" or copy.gave_way):
+        if copy is None or not copy.is_unanswered:
             return None
-        return copy if copy.sequence == answer.sequence and copy.target == host else None
+        return copy if copy.sequence == answer.sequence else None
+
+
+def _question(copy: Copy) -> Send:
+    return Send(copy.target, Inquire(copy.agent, copy.generation, copy.sequence, copy.memory))

@@ -27,7 +27,7 @@ MOST_LIVES = 64
 MOST_SIGNS = 64
 
 
-class _Highest:
+class HighestCounts:
     """Of each host the highest count of each of its lives, and what was news of it last."""
 
     def __init__(self) -> None:
@@ -71,7 +71,7 @@ class Hearsay:
         self._neighbours, self.near = neighbours, neighbours.near
         #: The signs of this host, and up to which count it was asked for them.
         self._count = self._promised = 0
-        self._signs, self._questions = _Highest(), _Highest()
+        self._signs, self._questions = HighestCounts(), HighestCounts()
         #: What was news, numbered, the latest last: the sign of a host, or the question for one of its lives,
         #: of which none may hide another. Up to which number each host was told.
         self._news: dict[tuple[bool, int, int], int] = {}

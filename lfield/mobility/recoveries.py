@@ -72,6 +72,7 @@ def bar(copies: Collection[Copy], generation: int, reason: str) -> list[Effect]:
     for copy in copies:
         if copy.generation < generation and copy.is_here:
             copy.state, copy.seal, copy.restored = "RUN", None, False
+            copy.target, copy.memory = "", 0
             copy.doubt = f"no start of it before number {generation} may run any more: {reason}"
             effects.append(Supersede(copy.agent, copy.generation, copy.doubt))
     return effects

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from lfield.authority.identity import STRANGER
 from lfield.errors import AddressError, GreetingError, WireError
 from lfield.loop import unexpected
-from lfield.net.waiting.rations import CROWD
+from lfield.net.waiting.rations import PROVEN
 from lfield.wire.codec import (
     PART,
     TRANSFER,
@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 #: So many bytes of a message count as one more (`FramedLink.weight`).
 _HEAVY = 1 << 11
 
-#: A block that is so many times as long as one may be counts as a crowd by itself.
+#: A block that is so many times as long as one may be proves that they never end.
 _MUCH_TOO_LONG = 16
 #: What precedes all that is queued: orders to stop and to pause with their answers, and heartbeats, so that a
 #: link with much to send is not taken for a silent one.
@@ -173,14 +173,14 @@ class FramedLink:
         """How much has come since answers are withheld, in messages: 0 while they are not.
 
         A transfer counts one, a message one and one more for each _HEAVY bytes. A host sends a coordinator
-        again only after an answer, so a second transfer of one counts as a crowd, and of blocks that are too
-        long so many bytes that no host sends them before an answer.
+        again only after an answer, so a second transfer of one is a proof (PROVEN); of blocks that are too
+        long so many bytes are that no host sends them before an answer.
         """
         skipped = self._decoder.skipped + self._parts.skipped
-        return self._weight + CROWD * skipped // (_MUCH_TOO_LONG * self._max_block)
+        return self._weight + PROVEN * skipped // (_MUCH_TOO_LONG * self._max_block)
 
     def _weigh(self, header: Transfer) -> None:
-        self._weight += CROWD if header.agent in self._came else 1
+        self._weight += PROVEN if header.agent in self._came else 1
         self._came.add(header.agent)
 
     def one_by_one(self, data: Buffer) -> Iterator[None]:

@@ -8,8 +8,9 @@ from collections.abc import Sequence
 
 from lfield.errors import AddressError, UsageError
 from lfield.net.paths.listener import bound
-from lfield.net.paths.names import numbers_of, socket_address, split_address
+from lfield.net.paths.names import numbers_of, socket_address
 from lfield.net.paths.reasons import refusal
+from lfield.net.transport import split_address
 
 
 def own_host(hosts: Sequence[str]) -> str:

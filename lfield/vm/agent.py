@@ -54,8 +54,8 @@ class Agent:
     overdue = False
     #: What is thrown when the call comes back that a limit has cancelled, and when that was over (ns).
     over, over_at = "", 0
-    #: Why a limit that is over could not be thrown in time.
-    late_since = ""
+    #: Why a limit that is over could not be thrown in time; why one did not leave that would come too late.
+    late_since = too_far = ""
 
     # By hand, and with what seldom changes in the class: one is made at every hop.
     def __init__(

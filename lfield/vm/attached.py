@@ -75,6 +75,9 @@ class Signs(Protocol):
     def is_asked(self, member: Member) -> bool:
         """Whether that is still waited for."""
 
+    def transit(self, member: Member) -> float:
+        """In how many seconds a coordinator that leaves now would be there, as far as that was measured."""
+
 
 @dataclass(slots=True)
 class Attached:

@@ -14,7 +14,7 @@ from typing import Protocol
 
 from lfield.bytecode.program import LANDING, LIMIT
 from lfield.vm import portals
-from lfield.vm.agent import Agent
+from lfield.vm.agent import Agent, Member
 from lfield.vm.begun import Begun
 from lfield.vm.cancelling import Cancelling, rouse
 from lfield.vm.memory import layout
@@ -34,6 +34,8 @@ TIME_LIMIT = "TimeLimitException"
 SOON = 0.05
 #: Why a limit is looked at late whose time was over while no program ran here.
 STOOD_STILL = "its host was paused, or stood still"
+#: The same where it was over before a coordinator came.
+ON_ITS_WAY, DOWN = "it was on its way between hosts", "its host was down"
 #: The clocks are read in different units: so many ns make no difference.
 _SLACK = 1000
 
@@ -85,19 +87,31 @@ class TimeLimits:
         self._arm(agent, max(1, end))
         return max(1, end)
 
-    def look(self, agent: Agent) -> None:
-        """A coordinator has come, with the limits that it is under."""
+    def look(self, agent: Agent, why: str) -> None:
+        """A coordinator has come, with the limits that it is under; `why` it comes late, if it does."""
         if not self._scheduler.program.has_limits:
             return
         if ends := [agent.block.w[word] for word, _ in self._around(agent)]:
             if min(ends) <= self._scheduler.clock_of(agent):
-                agent.late_since = "it was on its way between hosts, or its host was down"
+                agent.late_since = why
             self._arm(agent, min(ends))
 
     def nearest(self, agent: Agent) -> float | None:
         """In how many seconds the first limit around a coordinator is over; None without any."""
         ends = [agent.block.w[word] for word, shielded in self._around(agent) if not shielded]
         return (min(ends) - self._scheduler.clock_of(agent)) / 1e9 if ends else None
+
+    def depart(self, agent: Agent, resource: Member) -> None:
+        """Let a frozen coordinator leave for the host of a resource.
+
+        One that would arrive there after its time is over stays, and waits for the end of its time.
+        """
+        signs, left = self._scheduler.attached.signs, self.nearest(agent)
+        transit = 0.0 if signs is None or left is None else signs.transit(resource)
+        if left is None or transit < left:
+            self._scheduler.world.depart(agent, resource)
+            return
+        agent.too_far = f": the way to {self._scheduler.world.host_of(resource)} takes {transit:.1f} s"
 
     def strike(self, agent: Agent, why: str = "") -> bool:
         """Throw in a coordinator that runs or was just resumed, if the time is over; false if it is not."""
@@ -217,12 +231,12 @@ class TimeLimits:
         record = w[layout.W_THREADS]
         thread, state = w[record + THREAD_ID], w[record + THREAD_STATE]
         if agent.frozen:
-            what = self._visits.cut_short(agent)
-            if not scheduler.world.give_up(agent):
+            what = self._visits.cut_short(agent) + agent.too_far
+            if not agent.too_far and not scheduler.world.give_up(agent):
                 agent.overdue = True
                 agent.late_since = self._visits.keeps_waiting(agent)
                 return
-            agent.frozen = False
+            agent.frozen, agent.too_far = False, ""
             self._throw(agent, thread, due, what)
         elif state == CALLING and (number := portals.call_of(scheduler, agent)):
             self._cancel(agent, number, due)

@@ -33,7 +33,7 @@ from lfield.vm.contract import (
     Thrown,
     Trap,
 )
-from lfield.vm.limits import TimeLimits
+from lfield.vm.limits import DOWN, ON_ITS_WAY, TimeLimits
 from lfield.vm.memory import layout
 from lfield.vm.memory.block import Block
 from lfield.vm.memory.collector import compact
@@ -108,7 +108,7 @@ class Machine:
         self._visits = Visits(scheduler, team, here, held)
         self._limits = TimeLimits(scheduler, cancelling, self._visits, self._begun.stop_waiting)
         self._together = Together(scheduler, self._visits, held, cancelling, self._limits)
-        heads = {**self._together.heads(), **Reserving(scheduler, held, here).heads()}
+        heads = {**self._together.heads(), **Reserving(scheduler, held, here, self._limits).heads()}
         self._outsiders = Outsiders(scheduler, team, here, dice, cancelling, self._limits, held, heads)
         self._place = 0  # where the thread is whose turn it is
         #: What each exit of the engine asks for.
@@ -149,23 +149,22 @@ class Machine:
     def admit(self, member: Member, image: bytes | memoryview, limits: Limits, asleep: float = 0.0) -> Agent:
         """Inject a coordinator that came from another host; raises BlockError when its bytes are not sound.
 
-        `asleep` is for how many seconds it is known to have been on its way: its time limits count them.
-
-        It is frozen at its portal call, which is here now, until `go` or `resume`. Another start of it that
-        is here goes on no more: of two starts one host never runs both.
+        `asleep` is for how many seconds it was on its way, as far as its host can tell: its time limits count
+        them. It is frozen at its portal call, which is here now, until `go` or `resume`. Another start of it
+        that is here goes on no more: of two starts one host never runs both.
         """
-        agent = self.restore(member, image, limits, asleep)
+        agent = self.restore(member, image, limits, asleep, ON_ITS_WAY)
         self._begun.tidy_up(agent)
         agent.block.w[layout.W_HOPS] += 1
         agent.block.visit(self._here)
         return agent
 
     def restore(
-        self, member: Member, image: bytes | memoryview, limits: Limits, asleep: float = 0.0
+        self, member: Member, image: bytes | memoryview, limits: Limits, asleep: float = 0.0, why: str = DOWN
     ) -> Agent:
         """As `admit`, of a block that was packed on this very host: it has made no hop since.
 
-        `asleep` is for how many seconds the host was down, as far as it can tell.
+        `asleep` is for how many seconds the host was down, as far as it can tell; `why` is for exceptions.
         """
         block = self._soundness.check(image, limits.heap // 8)
         agent = Agent(member, block, limits, [], opened=True, frozen=True, kept=True)
@@ -174,7 +173,7 @@ class Machine:
             other.ended = "dropped"
         self.agents[member.id] = agent
         self._scheduler.set_clock(agent, block.w[layout.W_CLOCK] + int(max(0.0, asleep) * 1e9))
-        self._limits.look(agent)
+        self._limits.look(agent, why)
         return agent
 
     def go(self, agent: Agent) -> None:

@@ -211,7 +211,7 @@ class Outsiders:
             portals.call(self._scheduler, member, agent, thread, operand, words, number)
             return
         self._scheduler.freeze(agent, thread)
-        self._scheduler.world.depart(agent, member)
+        self._limits.depart(agent, member)
 
     def _find(self, agent: Agent, thread: int, operand: int, words: list[int]) -> None:
         scheduler = self._scheduler

@@ -204,6 +204,18 @@ class Heard(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, ta
     asked: Annotated[list[SignOfLife], Meta(max_length=4096)]
 
 
+class Relayed(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=22):
+    """A question about a transfer, or its answer, for a host that its sender has no link with.
+
+    Every host passes it on once to all its links. `origin` numbers what its sender has relayed in one life,
+    and `receiver` is the place of a host in the deployment.
+    """
+
+    origin: SignOfLife
+    receiver: Index
+    message: Accepted | Refused | Inquire
+
+
 class Room(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=14):
     """Whether the sender can keep coordinators that come to it: '' if so, else why it can not."""
 
@@ -242,6 +254,7 @@ Control = (
     | RelayedAnswer
     | Report
     | Heard
+    | Relayed
     | Room
     | Revocations
     | QuorumMessage

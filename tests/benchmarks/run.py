@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import sys
+from pathlib import Path
 
 from harness.bench import main
 from harness.picture import Pictured
+
+# The emulated radio is a tool of the tests.
+sys.path.append(str(Path(__file__).parents[1] / "radio"))
 
 FIGURES = {
     "hop": "hops.hop",
@@ -45,6 +49,7 @@ FIGURES = {
     "formation": "team.formation",
     "missions": "team.tested_missions",
     "watch": "page.watched",
+    "radio": "radio.poor_radio",
 }
 
 #: What the picture of the README shows, in this order.

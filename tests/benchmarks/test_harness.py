@@ -71,6 +71,7 @@ def test_a_row_has_minimum_median_and_maximum():
     assert Row("", "", samples=[3.0, 1.0, 2.0]).numbers() == {
         "min": 1.0,
         "median": 2.0,
+        "p90": 3.0,
         "p99": 3.0,
         "max": 3.0,
     }
@@ -187,7 +188,7 @@ def test_the_ratio_to_a_rival_has_its_least_and_its_greatest_round():
     figure = Figure("", rising, rounds=3, ratios=(("a", "b", "0.60x"), ("a", "gone", "1.00x")))
     *_, ratio = rows_of(figure, HERE, silent)
     assert (ratio.measured, ratio.unit, ratio.target) == ("a / b", TIMES, "0.60x")
-    assert ratio.numbers() == {"min": 0.5, "median": 1.0, "p99": 3.0, "max": 3.0}
+    assert ratio.numbers() == {"min": 0.5, "median": 1.0, "p90": 3.0, "p99": 3.0, "max": 3.0}
 
 
 def test_one_that_fails_in_a_later_round_leaves_the_others():

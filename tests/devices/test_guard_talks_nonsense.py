@@ -54,3 +54,32 @@ def test_it_is_killed_and_its_host_goes_on(message, told):
     run_jumping(story())
     assert notes == [f"the guard sent bytes that make no sense: {told}"]
     assert (killed, raised) == ([True], [])
+
+
+def test_a_guard_that_lived_is_started_again_at_once_and_one_that_did_not_after_a_pause(monkeypatch):
+    """Its autopilot hears no station meanwhile."""
+    started = []
+
+    async def story():
+        clock = LoopClock()
+        guard = Guard(KNOWN, [BINDING], clock, lambda text: None, Lateness(Limit(1.0)), lambda: True)
+
+        async def start(protocol, *words):
+            started.append(clock.monotonic())
+            pipe = SimpleNamespace(is_closing=lambda: False, write=lambda data: None)
+            process = SimpleNamespace(
+                get_pipe_transport=lambda fd: pipe, get_returncode=lambda: -9, close=lambda: None
+            )
+            protocol.connection_made(process)
+            protocol.pipe_data_received(1, encode(Ready({"a.x": "a lamp"})))
+
+        monkeypatch.setattr("lfield.devices.keeper.start_process", start)
+        await guard.open()
+        for lived in (6.0, 0.5, 6.0):
+            await asyncio.sleep(lived)
+            guard.connection_lost(None)
+        await asyncio.sleep(1.0)
+
+    run_jumping(story())
+    first, *again = started
+    assert [round(at - first, 3) for at in again] == [6.0, 6.7, 12.5]

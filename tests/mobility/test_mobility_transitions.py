@@ -18,6 +18,7 @@ from lfield.mobility.effects import (
     SendTransfer,
     Supersede,
 )
+from lfield.mobility.generations import STRIDE
 from lfield.wire.coordinators import (
     NEVER_ARRIVED,
     SUPERSEDED,
@@ -188,12 +189,35 @@ def test_answers_to_other_numbers_and_from_other_hosts_mean_nothing(away):
     for host, answer in [
         ("b", Accepted(TOUR, 1, 2)),
         ("b", Accepted(TOUR, 2, 1)),
-        ("c", Accepted(TOUR, 1, 1)),
+        ("c", Refused(TOUR, 1, 1, UNREACHABLE, "")),
+        ("c", Refused(TOUR, 1, 1, NEVER_ARRIVED, "")),
         ("b", Refused(TOUR, 1, 7, UNREACHABLE, "")),
         ("b", Refused("Other:x", 1, 1, UNREACHABLE, "")),
     ]:
         assert away.mobility.receive(host, answer, 0.0) == []
     assert away.known().state == "PREPARED"
+
+
+def test_any_host_may_know_that_it_has_gone_on_from_its_receiver(away):
+    away.mobility.unlinked("b")
+    assert [type(effect) for effect in away.mobility.receive("c", Accepted(TOUR, 1, 1), 0.0)] == [Departed]
+    assert away.known().state == "MOVED"
+
+
+def test_any_host_may_know_that_it_was_recovered(away):
+    away.mobility.receive("c", Refused(TOUR, 1, 1, SUPERSEDED, "recovered"), 0.0)
+    assert away.known().outcome == "superseded"
+
+
+def test_a_host_vouches_for_a_transfer_to_another_one_by_a_higher_number_or_a_recovery_only(a):
+    asked = Inquire(TOUR, 1, 3, 99)
+    assert a.mobility.vouch(asked) is None
+    a.mobility.receive("c", Inquire(TOUR, 1, 3, 1), 0.0)
+    assert a.mobility.vouch(asked) is None
+    a.mobility.receive("c", Inquire(TOUR, 1, 4, 1), 0.0)
+    assert a.mobility.vouch(asked) == Accepted(TOUR, 1, 3)
+    a.mobility.arrive("c", transfer(1, generation=STRIDE + 1), b"block")
+    assert a.mobility.vouch(Inquire(TOUR, 1, 9, 99)).kind == SUPERSEDED
 
 
 def test_after_a_lost_link_the_sender_asks(away, b):

@@ -11,6 +11,7 @@ from lfield.net.waiting.rations import (
     CROWD,
     LONGEST_HOLD,
     OVER_FOR,
+    PROVEN,
     RATION,
     Rations,
     Standing,
@@ -128,9 +129,20 @@ def test_large_transfers_of_several_coordinators_in_turn_are_closed():
     began = computer.now
     while computer.now < began + 30.0 and not computer.closed:
         computer.drain("bravo", agents, cost)
-        computer.drain("bravo", 1, cost, CROWD)
+        computer.drain("bravo", 1, cost, PROVEN)
     (_, reported), *_ = computer.reports
     assert OVER_FOR <= computer.closed["bravo"] - reported <= OVER_FOR + 2 * LONGEST_HOLD
+
+
+def test_what_is_proven_is_not_forgiven_for_a_pause():
+    """A member that pauses whenever its answers are withheld, for as long as a probe lasts."""
+    computer, cost = Computer(), 0.01
+    began = computer.now
+    while computer.now < began + 30.0 and not computer.closed:
+        computer.drain("bravo", 50, cost)
+        computer.drain("bravo", 2, cost, PROVEN)
+        computer.answer("bravo")
+    assert OVER_FOR <= computer.closed["bravo"] - began <= OVER_FOR + 3.0
 
 
 def test_a_crowd_is_forgiven_when_the_member_waits_for_answers():

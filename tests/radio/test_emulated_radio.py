@@ -8,7 +8,7 @@ import sys
 import time
 
 import pytest
-from emulator.links import CELLS, Cell, Link
+from emulator.cells import CELLS, Cell, Link
 from emulator.packets import UDP
 from emulator.radio import Flow, Radio
 from emulator.tun import missing

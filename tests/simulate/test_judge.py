@@ -21,7 +21,7 @@ from lfield.mobility.effects import Effect
 from lfield.mobility.generations import STRIDE
 from lfield.simulate.fleet import Fleet
 from lfield.simulate.judging.judge import Judge
-from lfield.simulate.judging.saved import nowhere
+from lfield.simulate.judging.saved import last_seen, nowhere
 from lfield.simulate.seeds import run, told
 from lfield.simulate.stories.drawing import drawn
 from lfield.simulate.stories.shrink import command, smallest
@@ -175,3 +175,13 @@ def test_a_breach_is_told_with_the_command_that_repeats_it_and_made_smaller(
 )
 def test_some_disk_must_hold_a_state_to_go_on_from(page: CopyPage, held: bool) -> None:
     assert nowhere([Starts(2), page], [("w", 2)]) == ([] if held else [("w", 2)])
+
+
+def test_where_a_start_went_last_is_told_by_the_highest_number() -> None:
+    def page(state, sequence: int, target: str = "") -> CopyPage:
+        return CopyPage("w0", 1, state, sequence, 1, target=target)
+
+    old, new = page("PREPARED", 5, "gone"), page("PREPARED", 9, "well")
+    assert last_seen(("w0", 1), [old, new, page("MOVED", 11, "gone")]) is new
+    assert last_seen(("w0", 1), [old, taken := page("RUN", 5)]) is taken
+    assert last_seen(("w0", 2), [old, new]) is None

@@ -35,6 +35,7 @@ from lfield.wire.messages import (
     Ping,
     Pong,
     Refuse,
+    Relayed,
     Report,
     SignOfLife,
 )
@@ -89,6 +90,8 @@ MESSAGES = [
     Accepted("Tour:one", 1, 2),
     Refused("Tour:one", 1, 2, "LimitException", "full"),
     Inquire("Tour:one", 1, 2, 3),
+    Relayed(SignOfLife(2, 7, 1), 0, Inquire("Tour:one", 1, 2, 3)),
+    Relayed(SignOfLife(0, 2**63 - 1, 9), 2, Refused("Tour:one", 1, 2, "LimitException", "full")),
     Ended("Tour:one", 1, "done", "", "a"),
     EndedAck("Tour:one", 1),
     StatusRequest(),

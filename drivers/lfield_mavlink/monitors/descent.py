@@ -22,8 +22,14 @@ FASTEST, SHARE, MORE = 2.6, 1.4, 0.5
 DESCENDS, UNKNOWN, BEYOND = 1.15, 2.0, 0.6
 #: Seconds for which a commanded speed downwards still counts: a vehicle brakes.
 COMMANDED = 1.5
-#: Seconds for which it must sink so fast.
-LASTS = 0.25
+#: Seconds for which it must sink so fast, and for which it must be too low when it sinks more slowly or stays
+#: there. In flights without a fault nothing was lower than 0.4 m below its floor, and then it climbed.
+LASTS, LASTS_LOW = 0.25, 0.5
+#: m/s upwards with which it makes up for what it has lost, and m/s downwards that may be an error of the
+#: estimator: a velocity has no height to be held against, only the sum of what it sinks.
+CLIMBS, BIAS = 0.1, 0.15
+#: Metres by which its height changes without a speed when home or the estimate has moved, not the vehicle.
+JUMPS = 1.0
 #: m/s2 with which a vehicle ends a descent that it was commanded.
 BRAKES = 1.0
 #: Radians from upright, and the seconds for which it must tilt so far.
@@ -88,8 +94,8 @@ class DescentMonitor:
         self._floor: float | None = None
         self._top = -math.inf
         self._last: tuple[float, float, float] | None = None
-        # Since when it sinks too fast, tilts too far, and is well again.
-        self._sinks_at = self._tilts_at = self._well_at = math.inf
+        # Since when it sinks too fast, is too low, tilts too far, and is well again.
+        self._sinks_at = self._low_at = self._tilts_at = self._well_at = math.inf
         self._tilt = 0.0
         self._hit: Finding | None = None
         self._stands_at = math.inf
@@ -103,7 +109,8 @@ class DescentMonitor:
         """A motion begins, which may do this with the height."""
         if expected != self._expected:
             self._expected, self._floor, self._top = expected, None, -math.inf
-            self._sinks_at, self._excess = math.inf, 0.0
+            self._sinks_at = self._low_at = math.inf
+            self._excess = 0.0
 
     def on_velocity(self, sink: float, now: float) -> None:
         """A velocity is commanded, in m/s downwards."""
@@ -151,17 +158,21 @@ class DescentMonitor:
         last, self._last = self._last, (now, height, sink)
         found = self._dropped(height, sink) or self._impact(last, height, sink, now)
         if found is not None or not (judged and self._armed and self._aloft):
-            self._sinks_at = math.inf
+            self._sinks_at = self._low_at = math.inf
             return found
+        self._look_for_jump(last, height, sink, now)
         self._move_floor(height, sink)
         self._add_up(height, sink, now, 0.0 if last is None else now - last[0])
-        why = self._why_falling(height, sink, now)
-        if not why:
-            self._sinks_at = math.inf
+        fast, low = self._why_falling(height, sink, now), self._why_low(height, sink)
+        self._sinks_at = min(self._sinks_at, now) if fast else math.inf
+        self._low_at = min(self._low_at, now) if low else math.inf
+        if not (fast or low):
             self._recover(sink, now)
             return None
-        self._sinks_at, self._well_at = min(self._sinks_at, now), math.inf
-        return self._falls(why) if now - self._sinks_at >= LASTS else None
+        self._well_at = math.inf
+        if now - self._sinks_at >= LASTS:
+            return self._falls(fast)
+        return self._falls(low) if now - self._low_at >= LASTS_LOW else None
 
     def on_attitude(self, roll: float, pitch: float, now: float, *, judged: bool) -> Finding | None:
         """A sample, in radians."""
@@ -197,6 +208,16 @@ class DescentMonitor:
 
     # -- decisions --------------------------------------------------------------------------------------
 
+    def _look_for_jump(
+        self, last: tuple[float, float, float] | None, height: float, sink: float, now: float
+    ) -> None:
+        """Begin with a new floor where the height has another reference."""
+        if last is None or now - last[0] > GAP:
+            return
+        sunk = 0.5 * (last[2] + sink) * (now - last[0])
+        if abs(last[1] - sunk - height) > JUMPS:
+            self._floor, self._top = None, -math.inf
+
     def _move_floor(self, height: float, sink: float) -> None:
         """The floor of a climb rises with it, up to its goal; what sinks at first may brake."""
         goal = self._expected.goal
@@ -219,7 +240,8 @@ class DescentMonitor:
 
     def _add_up(self, height: float, sink: float, now: float, took: float) -> None:
         """Add up by how much it sinks faster than it may; what does not leave off is a fall."""
-        self._excess = max(0.0, self._excess + (sink - self._may_sink(height, now)) * min(took, GAP))
+        may = self._may_sink(height, now) + (BIAS if self._expected.by_velocity else 0.0)
+        self._excess = max(0.0, self._excess + (sink - may) * min(took, GAP))
 
     def _why_falling(self, height: float, sink: float, now: float) -> str:
         commanded = max((each for at, each in self._commanded if at >= now - COMMANDED), default=0.0)
@@ -227,9 +249,16 @@ class DescentMonitor:
         beyond = self._excess > BEYOND and sink > self._may_sink(height, now) + more
         if beyond or sink > max(self._fastest, SHARE * commanded + MORE):
             return f"it sinks at {sink:.1f} m/s, {height:.1f} m above home"
-        if self._floor is not None and height < self._floor - LOST and sink > SINKS:
-            return f"it falls: {self._floor - height:.1f} m too low and sinking at {sink:.1f} m/s"
-        return ""
+        return self._why_low(height, sink) if sink > SINKS else ""
+
+    def _why_low(self, height: float, sink: float) -> str:
+        """Whether it has lost height, at whatever speed, and does not make up for it."""
+        if sink < -CLIMBS:
+            return ""
+        low = 0.0 if self._floor is None else self._floor - height
+        if self._expected.by_velocity:
+            low = self._excess
+        return f"it falls: {low:.1f} m too low and sinking at {max(0.0, sink):.1f} m/s" if low > LOST else ""
 
     def _recover(self, sink: float, now: float) -> None:
         if not self.falling or sink > SINKS / 2.0 or self._tilt >= TILTS:

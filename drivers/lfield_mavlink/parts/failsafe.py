@@ -132,7 +132,7 @@ class Failsafe:
         self._breaches = breaches
 
     def _notice_late(self) -> bool:
-        """Notice what may come late, and so be of a failsafe that it was released from; whether it was not."""
+        """Notice what may come late, unless it is of a failsafe that was released; whether it was noticed."""
         if self._vehicle.clock.monotonic() - self._released_at <= LATE:
             return False
         self._notice()

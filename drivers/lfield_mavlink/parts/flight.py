@@ -167,11 +167,13 @@ class Flight:
         await self._go_off("land")
 
     async def do_return_home(self) -> None:
-        """Back to where home is; what flies and can land is done when it stands there."""
+        """Back to home or to a nearer rally point; what flies and can land is done when it stands there."""
         self._motion.check_bounded("returnHome", self._vehicle.profile.home)
         await self._returns.check("returnHome")
+        copter = self._vehicle.profile.kind == "copter"
+        ends = [] if copter else await self._returns.ends()
         mode = await self._leave_for("returnHome", "return", dialect.MAV_CMD_NAV_RETURN_TO_LAUNCH)
-        if self._vehicle.profile.kind == "copter":
+        if copter:
             way = WayBack()
             await self._motion.travel(
                 "returnHome",
@@ -189,7 +191,7 @@ class Flight:
                 await self._motion.speed.keep_wanted()
 
         def left(place: Vector) -> float:
-            far = math.hypot(*place[:2])
+            far = min(math.dist(place[:2], end[:2]) for end in ends)
             # PX4 switches a rover off that has returned.
             return 0.0 if not self._state.armed and far <= AT_HOME else arrival.left(far)
 

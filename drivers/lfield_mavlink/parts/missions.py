@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import math
 from collections.abc import Sequence
 from typing import Any
@@ -11,6 +12,7 @@ from lfield_mavlink.contact.contact import Contact
 from lfield_mavlink.limits import Limits
 from lfield_mavlink.link.dialect import AUTOPILOT, dialect
 from lfield_mavlink.modes import ARDUPILOT, PX4
+from lfield_mavlink.monitors.mission_changes import CHANGED, MissionChanges, MissionTarget
 from lfield_mavlink.parts.motion import Motion
 from lfield_mavlink.parts.returns import Returns
 from lfield_mavlink.services.mission_check import Situation
@@ -22,6 +24,8 @@ from lfield_mavlink.services.plan_transfer import PlanTransfer
 #: Seconds to wait until the current item is the one that was set, which PX4 tells once a second, and how
 #: often it is set.
 PATIENCE, QUESTIONS = 1.2, 4
+#: Seconds after the last sign of a change in which a transfer by another station may go on.
+UNDER_WAY = 2.0
 
 #: The radius in metres of a circle whose item names none, by autopilot and kind of vehicle: the parameter by
 #: its names, and in how many units to a metre.
@@ -62,7 +66,14 @@ class Missions:
         self._current = self._reached = -1
         # Whether it has not told that it is in the middle of its mission, and so begins with waypoint 0.
         self._begins = True
+        # Signs that others have changed the mission under way: '' for a look at it, else why it must hold.
+        self._changes = MissionChanges()
+        self._target = MissionTarget(*limits.places)
+        self._signs: asyncio.Queue[str] = asyncio.Queue()
         vehicle.on(_CURRENT, self._on_current)
+        vehicle.on(dialect.MAVLINK_MSG_ID_PARAM_VALUE, self._on_parameter)
+        vehicle.on(dialect.MAVLINK_MSG_ID_STATUSTEXT, self._on_text)
+        vehicle.on(dialect.MAVLINK_MSG_ID_POSITION_TARGET_GLOBAL_INT, self._on_target)
         vehicle.on(dialect.MAVLINK_MSG_ID_MISSION_ITEM_REACHED, self._on_reached)
 
     @property
@@ -144,6 +155,67 @@ class Missions:
         await self._plans.clear(PlanKind.MISSION)
         self._count, self._reached = 0, -1
 
+    # -- changes by others ----------------------------------------------------------------------------
+
+    async def keep(self) -> None:
+        """Hold when another station changes the mission under way to one that may leave the limits."""
+        while True:
+            sign: str | None = await self._signs.get()
+            while sign is not None and self._is_ours:
+                if why := sign or await self._look():
+                    await self._hold(why)
+                    break
+                # A transfer may be under way of which nothing else is told.
+                sign = await self._next_sign(UNDER_WAY)
+
+    async def _look(self) -> str:
+        """Read and check the mission under way: why it must not go on, '' when it may."""
+        try:
+            await self._check("its mission", await self._plans.download(PlanKind.MISSION), starts=True)
+        except DeviceError as error:
+            return error.reason
+        return ""
+
+    async def _next_sign(self, seconds: float) -> str | None:
+        """The next sign within so many seconds, None when there is none; those of before count as one."""
+        while self._signs.qsize() > 1:
+            self._signs.get_nowait()
+        try:
+            return await asyncio.wait_for(self._signs.get(), seconds)
+        except TimeoutError:
+            return None
+
+    async def _hold(self, why: str) -> None:
+        self._vehicle.note(f"its mission was changed while it is flown: {why}; it holds")
+        try:
+            await self._motion.halt(why)
+        except DeviceError as error:
+            self._vehicle.note(f"it does not hold: {error.reason}")
+
+    @property
+    def _is_ours(self) -> bool:
+        """Whether a mission is being flown for this program, within limits."""
+        return self._is_flown and self._motion.ours and self._limits.bounds_anything
+
+    def _on_parameter(self, message: Any) -> None:
+        if self._changes.on_parameter(message):
+            self._sign()
+
+    def _on_text(self, message: Any) -> None:
+        if message.text.startswith(CHANGED):
+            self._sign()
+
+    def _on_target(self, message: Any) -> None:
+        state = self._state
+        if state.profile is None or state.home is None or not self._is_ours:
+            return
+        if why := self._target.beyond(message, state.home, flies=self._vehicle.profile.flies):
+            self._sign(why)
+
+    def _sign(self, why: str = "") -> None:
+        if self._state.profile is not None and self._is_ours:
+            self._signs.put_nowait(why)
+
     # -- steps ----------------------------------------------------------------------------------------
 
     async def _make_current(self, what: str, number: int) -> None:
@@ -184,6 +256,9 @@ class Missions:
     async def _check(self, what: str, items: Sequence[Item], *, starts: bool = False) -> None:
         """Refuse a mission that leaves the limits of the binding, whoever made it. Raises DeviceError."""
         self._curved = self._limits.bound_places and has_command(items, *CURVES)
+        back = dialect.MAV_CMD_NAV_RETURN_TO_LAUNCH
+        returns = [number + self._first for number, item in enumerate(items) if item.command == back]
+        self._changes.checked(curved=self._curved, returns=returns)
         check_mission(what, items, self._limits, self._vehicle.error, await self._situation(items, starts))
 
     async def _situation(self, items: Sequence[Item], starts: bool) -> Situation:
@@ -205,6 +280,8 @@ class Missions:
     def _on_current(self, message: Any) -> None:
         if self._state.profile is None:
             return  # from which number it counts is not known before its first heartbeat
+        if self._changes.on_current(message):
+            self._sign()
         before, self._current = self._current, max(message.seq - self._first, -1)
         self._begins = message.mission_state in _BEGINS
         # The word that an item was reached comes once and may be lost.

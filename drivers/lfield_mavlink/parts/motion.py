@@ -16,7 +16,7 @@ from lfield_mavlink.parts.failsafe import Failsafe
 from lfield_mavlink.parts.fences import OwnFence
 from lfield_mavlink.parts.progress import Arrival, Progress
 from lfield_mavlink.services.parameters import Parameters
-from lfield_mavlink.setpoints.guided_mode import GuidedMode
+from lfield_mavlink.setpoints.guided_mode import GuidedMode, Hover
 from lfield_mavlink.setpoints.orders import Order, Patience, Stack, orders_for, reposition
 from lfield_mavlink.setpoints.speed import Speed
 from lfield_mavlink.setpoints.stream import SetpointStream
@@ -46,7 +46,7 @@ class Motion:
         self.monitor.is_ours = lambda: self.ours
         self.stream = SetpointStream(vehicle.clock, self.send, self._where, self._is_followed)
         self.speed = Speed(vehicle, self.stream, parameters)
-        self.guided = GuidedMode(vehicle)
+        self.guided, self.hover = GuidedMode(vehicle), Hover(vehicle)
         self.tolerance: float = vehicle.binding.option("tolerance")
         # The modes that the last order leads to; any other mode is somebody else's doing.
         self._commanded: frozenset[str] = frozenset()
@@ -99,6 +99,7 @@ class Motion:
         self.monitor.check_begin(what)
         self._vehicle.take_charge()
         self._began, self._stopped = self._vehicle.clock.monotonic(), ""
+        self.hover.end()
         self.speed.begin()
         self.brake()
 
@@ -120,6 +121,7 @@ class Motion:
                 await self.start("hold", Order(frozenset({profile.guided}), trajectory=Stay(place, STAYS_AT)))
                 return
         await self.set_mode(profile.hold)
+        self.hover.begin()
 
     def brake(self) -> None:
         """Have no motion go on: PX4's copter stops by the setpoints that it needs anyway."""
@@ -159,7 +161,9 @@ class Motion:
             await self._begin("hold", reposition(state, place, None))
         except DeviceError:
             return False
-        await self._has_left(fed, "hold", dialect.MAV_CMD_DO_SET_MODE, *profile.mode_command(profile.hold))
+        if fed:
+            values = profile.mode_command(profile.hold)
+            await self.failsafe.did_the_same("hold", dialect.MAV_CMD_DO_SET_MODE, *values)
         self.stream.stop()
         return True
 
@@ -172,6 +176,7 @@ class Motion:
         done: Callable[[], bool] = lambda: False,
     ) -> None:
         """Enter a mode by a command that leads to it, or see that it is `done`. Raises DeviceError."""
+        self.hover.end()
         self.monitor.on_mode(mode)
         # Noted before it is known to have worked: a safe state that is tried again must count as ours, and so
         # must the mode that it is still in when the new one is refused.
@@ -180,15 +185,11 @@ class Motion:
         await self._vehicle.achieve(
             what, lambda: self._state.mode == mode or done(), command, *values, mode=mode
         )
-        await self._has_left(fed, what, command, *values)
+        if fed:
+            await self.failsafe.did_the_same(what, command, *values)
         if mode != self._vehicle.profile.guided:
             self.stream.stop()
         self.claim(mode)
-
-    async def _has_left(self, fed: bool, what: str, command: int, *values: float) -> None:
-        """A mode was entered by a command; if PX4 was `fed` its setpoints before, it may have missed some."""
-        if fed:
-            await self.failsafe.did_the_same(what, command, *values)
 
     # -- motions --------------------------------------------------------------------------------------
 

@@ -6,8 +6,11 @@ ArduPilot: https://ardupilot.org/copter/docs/rtl-mode.html; PX4: https://docs.px
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import suppress
 
+from lfield.driver import DeviceError
 from lfield_mavlink.contact.contact import Contact
+from lfield_mavlink.geo import Place, Vector
 from lfield_mavlink.limits import Limits
 from lfield_mavlink.modes import ARDUPILOT, PX4
 from lfield_mavlink.services.mission_check import Climb, Situation
@@ -51,6 +54,14 @@ class Returns:
     async def rally(self) -> list[Item]:
         """The rally points, where places are limited. Raises DeviceError."""
         return await self._plans.download(PlanKind.RALLY) if self._limits.bound_places else []
+
+    async def ends(self) -> list[Vector]:
+        """Where a return may end, in metres of home: there, or at a rally point that is nearer."""
+        home, points = self._vehicle.state.home, list[Item]()
+        with suppress(DeviceError):
+            points = await self._plans.download(PlanKind.RALLY)
+        places = [Place(point.x / 1e7, point.y / 1e7, home.altitude) for point in points if home is not None]
+        return [(0.0, 0.0, 0.0), *(home.to(place) for place in places if home is not None)]
 
     async def check(self, what: str) -> None:
         """Refuse a return that may leave the limits. Raises DeviceError.

@@ -31,6 +31,9 @@ STRAIGHT = 0.95
 #: The share of a speed that ArduRover is commanded at first; m/s by which PX4's rover drives faster than
 #: commanded, and the share that is left of a low speed.
 ROVER_FIRST, PX4_ROVER_EXCESS, PX4_ROVER_FIRST = 0.85, 0.45, 0.15
+#: The share that ArduRover is commanded for what it drives by itself, where nothing corrects it: with its
+#: overshoot of 10 to 15 % it comes up to the speed.
+ROVER_BY_ITSELF = 0.88
 
 
 class SpeedCorrection:

@@ -1,9 +1,12 @@
-"""How the mode of setpoints is entered: GUIDED of ArduPilot, OFFBOARD of PX4."""
+"""How the mode of setpoints is entered: GUIDED of ArduPilot, OFFBOARD of PX4; how a copter hovers in it."""
 
 from __future__ import annotations
 
+import asyncio
 import math
+from contextlib import suppress
 
+from lfield.driver import DeviceError
 from lfield_mavlink.contact.contact import Contact
 from lfield_mavlink.link.dialect import dialect, result_words
 
@@ -94,3 +97,61 @@ class GuidedMode:
         values = profile.mode_command(profile.guided)
         answer = await self._vehicle.exchange.command(command, *values, once=True, patience=SHOWN)
         return answer.result
+
+
+#: m/s below which a copter has stopped, and the seconds within which it must.
+STOPPED, WITHIN = 0.4, 10.0
+
+
+class Hover:
+    """A copter of ArduPilot that was told to stop, in BRAKE, hovers on in GUIDED.
+
+    In BRAKE its failsafe for the ground station would not act when this computer is dead: with bit 4 of
+    FS_OPTIONS, which is the default, that goes on in all modes of a pilot, and BRAKE is one of them
+    (Copter::failsafe_gcs_on_event and Mode::is_autopilot of ArduCopter 4.7).
+    """
+
+    def __init__(self, vehicle: Contact) -> None:
+        self._vehicle, self._state = vehicle, vehicle.state
+        self._asked = asyncio.Event()
+        self._work: asyncio.Task[None] | None = None
+
+    def begin(self) -> None:
+        """It has been told to stop; where BRAKE is its safe state it stays in that."""
+        profile, binding = self._vehicle.profile, self._vehicle.binding
+        if profile.kind == "copter" and not profile.px4 and profile.hold != profile.safe(binding.safe_state):
+            self._asked.set()
+
+    def end(self) -> None:
+        """It is told something else."""
+        self._asked.clear()
+        if self._work is not None:
+            self._work.cancel()
+
+    async def keep(self) -> None:
+        """Do what was begun, until cancelled."""
+        while True:
+            await self._asked.wait()
+            self._asked.clear()
+            self._work = asyncio.ensure_future(self._hover())
+            try:
+                await asyncio.wait([self._work])
+            finally:
+                self._work.cancel()
+
+    async def _hover(self) -> None:
+        vehicle, profile = self._vehicle, self._vehicle.profile
+        await vehicle.seen(lambda: not self._stops or self._has_stopped, WITHIN)
+        if self._stops and self._has_stopped:
+            mode, values = profile.guided, profile.mode_command(profile.guided)
+            set_mode = dialect.MAV_CMD_DO_SET_MODE
+            with suppress(DeviceError):
+                await vehicle.achieve("hold", lambda: self._state.mode == mode, set_mode, *values, mode=mode)
+
+    @property
+    def _stops(self) -> bool:
+        return self._state.armed and self._state.mode == self._vehicle.profile.hold
+
+    @property
+    def _has_stopped(self) -> bool:
+        return math.hypot(*self._state.velocity) < STOPPED

@@ -9,9 +9,10 @@ from collections.abc import Callable
 from lfield.driver import DeviceError
 from lfield_mavlink.contact.contact import Contact
 from lfield_mavlink.geo import Vector
+from lfield_mavlink.limits import ROUNDED_SPEED
 from lfield_mavlink.link.dialect import dialect
 from lfield_mavlink.services.parameters import Parameters
-from lfield_mavlink.setpoints.correction import SpeedCorrection
+from lfield_mavlink.setpoints.correction import ROVER_BY_ITSELF, SpeedCorrection
 from lfield_mavlink.setpoints.stream import SetpointStream
 from lfield_mavlink.setpoints.trajectory import ONLY_POSITION, Target
 
@@ -23,6 +24,9 @@ CRUISE, CRUISES = {"copter": "MPC_XY_CRUISE", "rover": "RO_SPEED_LIM"}, 3.0
 #: The share by which the speed of one velocity may differ from that of the one before it, so that what was
 #: driven still says something of it.
 SAME = 0.1
+#: ArduRover's own speed, which it keeps within 3 % (2.05 of 2, ap-rover.c-speed); the share by which it may
+#: be less than a speed that is wanted.
+ROVER_SPEED, OWN = "WP_SPEED", 0.05
 
 
 class Speed:
@@ -120,11 +124,21 @@ class Speed:
 
     async def keep_wanted(self) -> None:
         """Have the autopilot keep the wanted speed in what it flies by itself. Raises DeviceError."""
-        if self.wanted is not None:
-            # An ArduRover that shoots over its speed settles there; a mission's own speeds are not corrected.
-            profile = self._vehicle.profile
-            self._correction = SpeedCorrection.of(profile) if profile.px4 else SpeedCorrection()
-            await self._change(self.wanted)
+        profile, wanted = self._vehicle.profile, self.wanted
+        if wanted is None:
+            return
+        self._correction = SpeedCorrection.of(profile) if profile.px4 else SpeedCorrection()
+        if profile.kind == "rover" and not profile.px4:
+            # It speeds up anew after each turn of its mission: a correction would have it shoot over again.
+            self._correction = SpeedCorrection(ROVER_BY_ITSELF)
+            if await self._is_own(wanted):
+                return
+        await self._change(wanted)
+
+    async def _is_own(self, speed: float) -> bool:
+        """Whether ArduRover drives at a speed by its own parameter, which it does not shoot over."""
+        own = await self._parameters.read(ROVER_SPEED)
+        return own is not None and speed * (1.0 - OWN) <= own <= speed * (1.0 + ROUNDED_SPEED)
 
     @property
     def _takes_speed(self) -> bool:

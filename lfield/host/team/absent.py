@@ -27,8 +27,9 @@ LOST_AFTER = 0.5
 #: Seconds without anything from a linked host, beyond the time of an answer, after which nobody is sent there
 #: who need not go.
 SILENT_FOR = 2.0
-#: A host that was heard this many seconds ago need not be asked for a sign of life.
-JUST_NOW = 0.1
+#: A host that was heard this many seconds ago need not be asked for a sign of life; fewer where the answer
+#: takes only half as long, but always some, since with every hop something is heard.
+JUST_NOW, AT_LEAST = 0.1, 0.005
 #: Seconds that whoever is over a time limit waits for a sign of life, at the least; and at the most, where
 #: answers take long.
 GRACE, MOST_GRACE = 0.3, 2.0
@@ -69,11 +70,31 @@ class Absent:
     def ask(self, host: str) -> None:
         """Ask a linked host for a sign of life, unless it was heard just now or is being asked."""
         heard, now = self._nearby.last_heard(host), self._clock.monotonic()
-        if heard is None or not self._hearsay.is_linked(host) or now - heard <= JUST_NOW:
+        if heard is None or not self._hearsay.is_linked(host) or now - heard <= self._fresh(host):
             return
         if not self._is_unanswered(host, heard) and self._mobility.ask(host):
             self._asked[host] = now
             self._out(Send(host, Ping(QUESTION)))
+
+    def _fresh(self, host: str) -> float:
+        """For how many seconds after a host was heard it is not asked for a sign of life."""
+        round_trip = self._nearby.round_trip(host)
+        return JUST_NOW if round_trip is None else min(JUST_NOW, max(AT_LEAST, 2.0 * round_trip))
+
+    def transit(self, host: str) -> float:
+        """For how many seconds a message is on its way from or to a linked host; 0 where that is unknown."""
+        return (self._nearby.round_trip(host) or 0.0) / 2.0
+
+    def arrives_in(self, host: str) -> float:
+        """In how many seconds a coordinator that leaves now for a linked host is there; 0 for another host.
+
+        A question for a sign of life, and its answer, come first where they are due.
+        """
+        heard = self._nearby.last_heard(host)
+        if heard is None or not self._hearsay.is_linked(host):
+            return 0.0
+        asks = self._clock.monotonic() - heard > self._fresh(host)
+        return self.transit(host) * (3.0 if asks else 1.0)
 
     def is_asked(self, host: str) -> bool:
         """Whether a sign of life of a linked host is still waited for."""
@@ -126,3 +147,7 @@ class SignsOfLife:
     def is_asked(self, member: Member) -> bool:
         """Whether that is still waited for."""
         return self._absent.is_asked(self._hosts[member.host])
+
+    def transit(self, member: Member) -> float:
+        """In how many seconds a coordinator that leaves now is at its host."""
+        return self._absent.arrives_in(self._hosts[member.host])

@@ -15,6 +15,7 @@ from lfield.host.effects import CHANGED, Complain, Effect, Keep, Say
 from lfield.host.sight.hops import Hops
 from lfield.host.team.absent import Absent
 from lfield.host.team.keeping import Keeping, Recovery, asleep, explanation
+from lfield.host.telling.answers import Answers
 from lfield.journal.pages import BundlePage, Key, Page, Run, Starts
 from lfield.mission.mission import Mission
 from lfield.mobility import effects as mobile
@@ -77,14 +78,13 @@ class Coordinators:
         self.told: set[tuple[str, int]] = set()
         #: No coordinator is taken in any more.
         self.halted = False
-        #: Answers to arrivals, until those that arrived have run.
-        self._answers: list[tuple[str, mobile.Send]] = []
+        self._answers = Answers(effects, clock.monotonic)
         #: Coordinators that came before the resources here were started; None once they are.
-        self._early: dict[tuple[str, int], tuple[str, Transfer, memoryview]] | None = {}
+        self._early: dict[tuple[str, int], tuple[str, Transfer, memoryview, float]] | None = {}
+        #: For how many seconds the one that is taken in now was on its way, or waited here for that.
+        self._transit = 0.0
         #: The block that was packed just now, to leave at once if there is a link.
         self._packed: memoryview | None = None
-        #: Where each coordinator was last sent.
-        self._sent_to: dict[str, str] = {}
         #: When mobility may have something to give up. New deadlines are later, so one that is set stays.
         self._due: float | None = None
 
@@ -93,14 +93,14 @@ class Coordinators:
     @property
     def due(self) -> float | None:
         """When `tick` or `batch` has something to do next, None for never."""
-        if self._due is None or self.paused:
-            return self.keeping.due
-        if self.keeping.due is None:
-            return self._due
-        return min(self._due, self.keeping.due)
+        due = None if self.paused else self._due
+        for other in (self._answers.due, self.keeping.due):
+            due = other if due is None or (other is not None and other < due) else due
+        return due
 
     def tick(self, now: float) -> None:
         """Time has passed."""
+        self._answers.tick(now)
         if self._due is not None and now >= self._due and not self.paused:
             self.carry_out(self.mobility.tick(now))
             self._due = self.mobility.next_deadline()
@@ -133,14 +133,6 @@ class Coordinators:
         # Only now: what has waited since must not be taken for what is on the disk.
         self.trouble = ""
 
-    def answer(self) -> None:
-        """Those that arrived have run: whoever sent them may hear of it."""
-        answers, self._answers = self._answers, []
-        for agent, answer in answers:
-            # It is for the sender's books only, and a coordinator that is back there has brought it.
-            if self._sent_to.get(agent) != answer.host:
-                self._out(answer)
-
     # --- coming and going -----------------------------------------------------------------------------
 
     def open(self) -> None:
@@ -148,8 +140,8 @@ class Coordinators:
         if self._mission.release.by:
             self.keep(BundlePage(self._mission.release.digest))
         early, self._early = self._early or {}, None
-        for host, header, block in early.values():
-            self.arrived(host, header, block)
+        for host, header, block, left in early.values():
+            self.arrived(host, header, block, self._clock.monotonic() - left)
 
     def wake(self) -> None:
         """Go on with the coordinators that the journal has."""
@@ -182,6 +174,7 @@ class Coordinators:
         Not when it has opened no device: what tries again by itself must not begin a mission anew.
         """
         self.halted = True
+        self._answers.flush()
         if not self._own.memory or self._early is not None:
             return
         here, known = self._mission.team.number(self._own.host), self.mobility.knowledge()
@@ -191,18 +184,19 @@ class Coordinators:
         if self._mission.release.by and self.recovery.over(self._members, known):
             self.keep(BundlePage(b""))
 
-    def arrived(self, host: str, header: Transfer, block: memoryview) -> None:
-        """A coordinator came: it runs before its sender gets an answer."""
+    def arrived(self, host: str, header: Transfer, block: memoryview, transit: float = 0.0) -> None:
+        """A coordinator came, after so many seconds: it runs before its sender gets an answer."""
         if self._early is not None:
             if header.agent in self._members:
-                self._early[header.agent, header.generation] = host, header, block
+                left = self._clock.monotonic() - transit
+                self._early[header.agent, header.generation] = host, header, block, left
             return
-        self._sent_to.pop(header.agent, None)
+        self._transit = transit
         self.carry_out(self.mobility.arrive(host, header, block))
 
     def greeting(self) -> list[Known]:
         """What others are told of all coordinators when they are greeted."""
-        waiting = (header for _, header, _ in (self._early or {}).values())
+        waiting = (header for _, header, *_ in (self._early or {}).values())
         return self.keeping.on_record(self.mobility.greeting(waiting), self._own.host)
 
     def recover(self, agent: str, generation: int) -> bool:
@@ -242,15 +236,6 @@ class Coordinators:
         self.carry_out(self.mobility.save(agent.id, self._machine.pack(agent)))
         return False
 
-    def waits(self, agent: Agent) -> str:
-        """What a frozen coordinator waits for, in a word or two: it is only kept, or it leaves."""
-        if self.trouble and self.keeping.holds_back(agent.id):
-            return "waits for its disk"
-        if not self.is_leaving(agent):
-            return "being kept"
-        called = self._machine.calling(agent) if self._machine.fetches(agent) else None
-        return f"fetches from {self._mission.team.hosts[called[0].host]}" if called else "leaving"
-
     def is_leaving(self, agent: Agent) -> bool:
         """Whether a frozen coordinator wants to another host, or may be there."""
         return self.mobility.leaves(agent.id, agent.generation)
@@ -287,7 +272,8 @@ class Coordinators:
         if member is None:
             return mobile.Refusal(UNREACHABLE, f"{self._own.host} knows no coordinator {header.agent}")
         try:
-            self._machine.admit(member, memoryview(block), self._mission.bindings.limits(member.id))
+            limits = self._mission.bindings.limits(member.id)
+            self._machine.admit(member, memoryview(block), limits, self._transit)
         except BlockError as error:
             self._out(Complain(f"refused {header.agent}: {error}"))
             return mobile.Refusal(UNREACHABLE, f"{self._own.host} refused the coordinator: {error}")
@@ -335,7 +321,7 @@ class Coordinators:
         match effect:
             # Those of every hop come first.
             case mobile.SendTransfer():
-                self._sent_to[effect.header.agent] = effect.host
+                self._answers.leaves(effect.host, effect.header)
                 self._hops.left(effect.host, effect.header)
                 self._out(effect)
             case mobile.Go():
@@ -346,8 +332,9 @@ class Coordinators:
                     self._machine.go(agent)
             case mobile.Send():
                 if isinstance(effect.message, Accepted):
-                    self._answers.append((effect.message.agent, effect))
+                    self._answers.put(effect, effect.message)
                 else:
+                    self._answers.flush(effect.host)
                     self._out(effect)
             case mobile.Departed():
                 self._hops.departed(effect)

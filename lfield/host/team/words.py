@@ -5,11 +5,14 @@ A person cannot see what this host has now, so its own knowledge comes first: wh
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from lfield.host.team.coordinators import Coordinators
 from lfield.host.team.leases import Leases, abandon
 from lfield.journal.pages import Paused, Stopped
 from lfield.mobility.departures import PERHAPS
 from lfield.mobility.generations import next_recovery
+from lfield.vm.agent import Agent
 from lfield.vm.machine import Machine
 from lfield.wire.fields import clip
 from lfield.wire.observing import Recover, Recovered
@@ -87,3 +90,15 @@ def _why_not(team: Coordinators, host: str, word: Recover) -> str:
     if (left.generation, left.sequence) != (word.generation, word.sequence):
         return f"what {host} has of {word.agent} has changed meanwhile; ask again"
     return ""
+
+
+def waits(team: Coordinators, machine: Machine, hosts: Sequence[str], agent: Agent) -> str:
+    """What a frozen coordinator waits for, in a word or two: it is only kept, or it leaves."""
+    if agent.too_far:
+        return "cannot be there in time"
+    if team.trouble and team.keeping.holds_back(agent.id):
+        return "waits for its disk"
+    if not team.is_leaving(agent):
+        return "being kept"
+    called = machine.calling(agent) if machine.fetches(agent) else None
+    return f"fetches from {hosts[called[0].host]}" if called else "leaving"

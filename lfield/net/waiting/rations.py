@@ -8,9 +8,9 @@ RATION of the time that has passed. Over ALLOWANCE the member is over its budget
   messages have taken next to nothing for PROBE. A host that waits for answers, as with every hop, then soon
   has nothing more to send: of each coordinator at most one transfer is under way. A host that sends without
   waiting continues, and what comes during the probe is a crowd. `FramedLink.weight` counts it: a second
-  transfer of a coordinator whose first has no answer is a crowd by itself.
+  transfer of a coordinator whose first has no answer is a crowd by itself, and a proof.
 - A member with a crowd is held to its ration (`Standing.HELD`), and after OVER_FOR its link is to be closed
-  (`Standing.FLOOD`), unless the probe ends first.
+  (`Standing.FLOOD`), unless the probe ends before and nothing is proven.
 
 So a hop costs what it costs on any computer, however slow, and is never the reason for a closed link.
 Pure: time and processing time are parameters, both in seconds.
@@ -38,6 +38,8 @@ QUIET = RATION * PROBE
 LONGEST_HOLD = 0.5
 #: So many messages during a probe are a crowd; a long message counts as several (`FramedLink.weight`).
 CROWD = 128
+#: From this weight on it is proven that a member does not wait for answers; a backlog of messages has less.
+PROVEN = 1 << 20
 
 
 class Standing(Enum):
@@ -66,6 +68,7 @@ class _Account:
     probed: float = 0.0
     #: Whether a crowd came, and since when the member has been over budget with one.
     is_crowded: bool = False
+    is_proven: bool = False
     flooding_since: float = math.inf
     #: Since when it has been over budget and made new links.
     connecting_since: float = math.inf
@@ -122,7 +125,8 @@ class Rations:
         """The time that `probe_ends` has told is over: the member has shown that it waits for answers."""
         account = self._account(member, now)
         account.probe_ends, account.probe_due = None, now + PROBE_EVERY
-        account.is_crowded, account.flooding_since = False, math.inf
+        if not account.is_proven:
+            account.is_crowded, account.flooding_since = False, math.inf
 
     def on_closed(self, member: str, now: float) -> None:
         """Its link was closed for a flood: the next link begins with the same debt, and a new term."""
@@ -145,6 +149,7 @@ class Rations:
     @staticmethod
     def _on_probed(account: _Account, seconds: float, now: float, weight: int) -> None:
         account.is_crowded = account.is_crowded or weight >= CROWD
+        account.is_proven = account.is_proven or weight >= PROVEN
         account.probed += seconds
         if account.probed > QUIET:
             account.probe_ends, account.probed = now + PROBE, 0.0
@@ -157,6 +162,6 @@ class Rations:
         account.level = max(0.0, account.level - RATION * (now - account.at))
         account.at = now
         if account.level <= ALLOWANCE / 2:
-            account.is_crowded = account.is_reported = False
+            account.is_crowded = account.is_proven = account.is_reported = False
             account.flooding_since = account.over_since = account.connecting_since = math.inf
         return account

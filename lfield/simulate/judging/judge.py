@@ -27,10 +27,11 @@ from lfield.simulate.judging.blocks import Blocks
 from lfield.simulate.judging.breaches import Breaches
 from lfield.simulate.judging.calls import Calls
 from lfield.simulate.judging.devices import Devices
+from lfield.simulate.judging.doubts import Doubts
 from lfield.simulate.judging.orders import Orders
 from lfield.simulate.judging.reserved import Reserved
 from lfield.simulate.judging.results import Results
-from lfield.simulate.judging.saved import nowhere, shadowed
+from lfield.simulate.judging.saved import last_seen, nowhere, shadowed
 from lfield.simulate.judging.terminated import Terminated, latest_start
 from lfield.simulate.judging.witness import tap, tap_meter
 from lfield.vm.agent import Agent
@@ -87,6 +88,7 @@ class Judge:
         self.told = self._blocks.told
         self._devices = Devices(self.breaches, self._made_for, self._newest_at, self.reserved.commanded)
         self._terminated = Terminated(self.breaches, lambda: self.fleet, partial(latest_start, self._starts))
+        self._doubts = Doubts(self.breaches, lambda: self.fleet)
         self.given, self.dropped = self.reserved.given, self.reserved.dropped
         self.asked, self.renewed = self.reserved.asked, self.reserved.renewed
         #: How much was seen: a judge who sees nothing finds nothing.
@@ -284,6 +286,7 @@ class Judge:
         for at, host, text in self.fleet.log[self._told :]:
             self._line(at, host, text)
         self._told = len(self.fleet.log)
+        self._doubts.look()
         if self.fleet.keeps:
             self._disks()
             self._terminated.look()
@@ -318,16 +321,11 @@ class Judge:
     def _doubtful(self, start: Start) -> bool:
         """Whether a host that may have had it has lost its disk since: then nobody can know."""
         places = self._starts[start].places
-        return any(self._is_gone(name, memory) for name, memory in places.items()) or self._waits(start)
-
-    def _waits(self, start: Start) -> bool:
-        """Whether a disk says that it went to a memory that is gone: whether it was sent cannot be known."""
-        disks = self.fleet.disks.values()
-        pages = [page for disk in disks for page in disk.pages() if isinstance(page, CopyPage)]
-        here = [page for page in pages if (page.agent, page.generation) == start]
-        sent = [page for page in here if page.state == "PREPARED"]
-        runs = any(page.state == "RUN" for page in here)
-        return not runs and any(self._is_gone(page.target, page.memory) for page in sent)
+        if any(self._is_gone(name, memory) for name, memory in places.items()):
+            return True
+        last = last_seen(start, (page for disk in self.fleet.disks.values() for page in disk.pages()))
+        # Whether it was sent cannot be known.
+        return last is not None and last.state == "PREPARED" and self._is_gone(last.target, last.memory)
 
     def _is_gone(self, name: str, memory: int) -> bool:
         wrecked = name in self.fleet.gone and not self.fleet.mission.fenced

@@ -29,3 +29,13 @@ def shadowed(agent: str, pages: Iterable[Page]) -> bool:
     """Whether any of these pages is enough for a majority to go on with a coordinator."""
     own = [page for page in pages if isinstance(page, CopyPage) and page.agent == agent]
     return any(page.state != "EXITED" and (page.block or page.state == "RUN") for page in own)
+
+
+def last_seen(start: tuple[str, int], pages: Iterable[Page]) -> CopyPage | None:
+    """The page that says where a start of a coordinator went last, None without any: the later number counts.
+
+    Who has taken a transfer has it under the number that its sender gave it.
+    """
+    own = [page for page in pages if isinstance(page, CopyPage) and (page.agent, page.generation) == start]
+    went = [page for page in own if page.state in ("RUN", "PREPARED")]
+    return max(went, key=lambda page: (page.sequence, page.state == "RUN"), default=None)

@@ -26,6 +26,7 @@ from lfield.simulate.stories.story import (
     parted,
     plain,
 )
+from lfield.simulate.weather import Fault
 
 #: Of what kinds stories of hosts with journals are.
 KEPT, DOUBTFUL = ("plain", "plain", "fenced", "doubted"), ("doubted", "parted")
@@ -37,6 +38,8 @@ RARER = {"split": 0.12, "crowd": 0.04, "flown": 0.1, "wrecked": 0.06}
 ORDERED, ORDERED_WITH_DEVICES, SLOW = 0.15, 0.35, 0.2
 #: So many of the usual stories of hosts with journals are of coordinators that end soon instead.
 ENDING = 0.06
+#: So many stories are of hosts without a direct link instead; how long that lasts, in seconds.
+APART, APART_FOR = 0.05, (14.0, 20.0)
 #: How much slower, for all that runs beside.
 SLOWNESS = (10.0, 50.0, 200.0)
 
@@ -48,6 +51,8 @@ def drawn(seed: int) -> Story:
     story = KINDS[kind](seed) if kind else _usual(seed)
     if not kind and story.journals and random.Random(f"drawn ending {seed}").random() < ENDING:
         story = ending(seed)
+    elif not kind and random.Random(f"drawn apart {seed}").random() < APART:
+        story = apart(seed)
     if dice.random() < (ORDERED_WITH_DEVICES if story.arms else ORDERED):
         story = under_orders(story, dice)
     if dice.random() < SLOW:
@@ -119,6 +124,42 @@ def crowd(seed: int) -> Story:
     )
 
 
+def apart(seed: int) -> Story:
+    """One in which links break for long while coordinators hop over them, and other hosts connect the two.
+
+    Of a team at times only a row is left, in any order.
+    """
+    dice = random.Random(f"apart {seed}")
+    story = dice.choice((plain, plain, fenced))(seed)
+    hosts = dice.choice((3, 3, 4, 5, 6))
+    row = [f"h{n}" for n in dice.sample(range(hosts), hosts)]
+    pairs = [(one, other) for n, one in enumerate(row) for other in row[n + 2 :]]
+    broken = pairs if dice.random() < 0.5 else dice.sample(pairs, 1)
+    kind, lasts = dice.choice(("cut", "cut", "one_way")), dice.uniform(*APART_FOR)
+    aimed = [Fault(dice.uniform(0.5, 2.5), kind, one, other, lasts, 1.0) for one, other in broken]
+    if dice.random() < 0.5:
+        aimed += [replace(fault, at=fault.at + 0.001, kind="reset") for fault in aimed]
+    kinds = [kind for kind in ("kill", "restart", "stop") if dice.random() < LIKELY]
+    seconds = 3.0 + lasts
+    return replace(
+        story,
+        kind="apart",
+        cast=hosts,
+        hosts=hosts,
+        walkers=3,
+        stays=0,
+        arms=min(story.arms, 1),
+        calls=FOR_EVER,
+        stay=0.04,
+        lost_after=None,
+        means={kind: dice.uniform(*OFTEN) for kind in kinds},
+        aimed=tuple(sorted(aimed, key=lambda fault: fault.at)),
+        weather=seconds,
+        seconds=seconds,
+        witnesses=0,
+    )
+
+
 def flight(seed: int) -> Story:
     """One of keepers whose resources have devices, on slow computers at times."""
     story, dice = keeper(seed), random.Random(f"flown {seed}")
@@ -156,6 +197,7 @@ KINDS: Mapping[str, Callable[[int], Story]] = {
     "crew": crew,
     "keeper": keeper,
     "split": split,
+    "apart": apart,
     "crowd": crowd,
     "flown": flight,
     "wrecked": wrecked,

@@ -51,9 +51,9 @@ class Hops:
         core, coordinators = life.core, life.core.coordinators
         arrived = coordinators.arrived
 
-        def seen(host: str, header: Transfer, block: memoryview) -> None:
+        def seen(host: str, header: Transfer, block: memoryview, transit: float = 0.0) -> None:
             before = core.machine.agents.get(header.agent)
-            arrived(host, header, block)
+            arrived(host, header, block, transit)
             came = core.machine.agents.get(header.agent)
             if came is not None and came is not before:
                 self.record.append(Hop(self._now(), header.agent, host, core.name))

@@ -12,6 +12,7 @@ from lfield.bytecode.program import ARRAY, INT, TypeRecord
 from lfield.vm import portals
 from lfield.vm.agent import Agent, Member
 from lfield.vm.contract import Trap
+from lfield.vm.limits import TimeLimits
 from lfield.vm.memory import layout
 from lfield.vm.memory.layout import CALLING, PROXY_MEMBER
 from lfield.vm.reserve.held import Entry, Held
@@ -23,8 +24,8 @@ Handler = Callable[[Agent, int, int, list[int]], None]
 class Reserving:
     """The heads of `reserve`, for the coordinators of one host (`here`, a number)."""
 
-    def __init__(self, scheduler: Scheduler, held: Held, here: int) -> None:
-        self._scheduler, self._held, self._here = scheduler, held, here
+    def __init__(self, scheduler: Scheduler, held: Held, here: int, limits: TimeLimits) -> None:
+        self._scheduler, self._held, self._here, self._limits = scheduler, held, here, limits
         kinds = scheduler.program.core.types
         classes = scheduler.program.core.classes
         self._offers = frozenset(i for i, record in enumerate(classes) if record.capability)
@@ -84,7 +85,7 @@ class Reserving:
         while (wanted := self._held.wanted(agent)) is not None:
             if wanted.resource.host != self._here:
                 agent.frozen = True
-                self._scheduler.world.depart(agent, wanted.resource)
+                self._limits.depart(agent, wanted.resource)
                 return
             try:
                 number = self._asked(agent, wanted)

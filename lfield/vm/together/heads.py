@@ -127,7 +127,7 @@ class Together:
         if not away:
             return False
         self._scheduler.freeze(agent, thread)
-        self._scheduler.world.depart(agent, self._visits.resource(away[0]))
+        self._limits.depart(agent, self._visits.resource(away[0]))
         return True
 
     def _fetch(self, agent: Agent, thread: int, operand: int, words: list[int]) -> None:

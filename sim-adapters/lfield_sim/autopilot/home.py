@@ -4,9 +4,9 @@ PX4 takes home anew at arming, takeoff and landing, and in between its height mo
 it flies (trace `px4-copter.i-heights`: 54 values in a minute, from -1.5 to +1.4 m). ArduCopter's stays within
 a centimetre; ArduRover takes 0.19 m above mean sea level for it, wherever that is (`ap-rover.i-heights`).
 
-A return leads to the nearest rally point, or home when that is nearer (ArduPilot:
-https://ardupilot.org/copter/docs/common-rally-points.html, RALLY_LIMIT_KM and RALLY_INCL_HOME; PX4: RTL_TYPE 0,
-https://docs.px4.io/main/en/flight_modes/return).
+A return leads to the nearest rally point, or home when that is nearer: with ArduPilot by RALLY_LIMIT_KM and
+RALLY_INCL_HOME (https://ardupilot.org/copter/docs/common-rally-points.html), with PX4 by RTL_TYPE 0
+(https://docs.px4.io/main/en/flight_modes/return).
 """
 
 from __future__ import annotations

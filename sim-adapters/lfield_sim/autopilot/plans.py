@@ -31,8 +31,8 @@ class Mission:
 
     `begun` is the index whose flight has begun, -1 for none; `arrived` is when its place was reached, in
     seconds; `height` is the down to which it returns after it has put down a payload; `jumps` counts how
-    often each DO_JUMP was taken; `last_reached` is NO_ITEM before the first. `curve` are the points of a curve
-    that are still to be flown, `leg` is where the leg before began, None when it ended at rest.
+    often each DO_JUMP was taken; `last_reached` is NO_ITEM before the first. `curve` are the points of a
+    curve that are still to be flown, `leg` is where the leg before began, None when it ended at rest.
     """
 
     items: list[MissionItem] = field(default_factory=list)

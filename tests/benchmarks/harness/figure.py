@@ -39,11 +39,12 @@ class Row:
     size: float = 0
 
     def numbers(self) -> dict[str, float]:
-        """Minimum, median, 99th percentile and maximum."""
+        """Minimum, median, 90th and 99th percentile, and maximum."""
         if not self.samples:
             return {}
         low, high = min(self.samples), max(self.samples)
-        return {"min": low, "median": median(self.samples), "p99": percentile(self.samples, 99), "max": high}
+        percentiles = {f"p{percent}": percentile(self.samples, percent) for percent in (90, 99)}
+        return {"min": low, "median": median(self.samples), **percentiles, "max": high}
 
 
 @dataclass(frozen=True)

@@ -10,10 +10,12 @@ import socket
 import subprocess
 import tempfile
 import time
-from collections.abc import Mapping, Sequence
-from contextlib import ExitStack
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager, ExitStack
 from pathlib import Path
-from typing import IO
+from typing import IO, TypeVar
+
+T = TypeVar("T")
 
 #: Seconds a child may take to say something before it is given up.
 PATIENCE = 30.0
@@ -88,6 +90,19 @@ class Child:
         if status:
             raise ChildError(self._obituary(f"ended with status {status}"))
 
+    def ask_to_end(self) -> None:
+        """Let it end in order, as `kill` does."""
+        self._process.terminate()
+
+    def ended(self, patience: float) -> bool:
+        """Whether it ends within so many seconds; what it says is read meanwhile, and thrown away."""
+        end = time.monotonic() + patience
+        while self._process.poll() is None and time.monotonic() < end:
+            self._read(0.02)
+            self._unread = b""
+            time.sleep(0.005)
+        return self._process.poll() is not None
+
     def end(self) -> None:
         """Kill it and wait for it."""
         self._process.kill()
@@ -138,6 +153,14 @@ class Processes:
         child = Child(words, environment, folder or Path.cwd(), merged)
         self._open.callback(child.end)
         return child
+
+    def at_end(self, does: Callable[[], object]) -> None:
+        """Call something at the end, before what was started earlier ends."""
+        self._open.callback(does)
+
+    def keep(self, kept: AbstractContextManager[T]) -> T:
+        """Enter a context, and leave it at the end."""
+        return self._open.enter_context(kept)
 
     def folder(self) -> Path:
         """A new folder."""

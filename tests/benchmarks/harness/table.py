@@ -17,12 +17,14 @@ from rich.text import Text
 COLUMNS = {
     "CASE": 36,
     "MEASURED": 30,
-    "MIN": 10,
-    "MEDIAN": 10,
-    "P99": 10,
-    "MAX": 10,
-    "RATIO": 8,
-    "TARGET": 12,
+    "N": 5,
+    "MIN": 9,
+    "MEDIAN": 9,
+    "P90": 9,
+    "P99": 9,
+    "MAX": 9,
+    "RATIO": 6,
+    "TARGET": 10,
 }
 
 
@@ -74,6 +76,7 @@ def print_figure(out: Console, name: str, title: str, rows: Sequence[Row], notes
 
 
 def _cells(row: Row) -> tuple[str, ...]:
-    numbers = [words(number, row.unit) for number in row.numbers().values()] or [""] * 4
+    numbers = [words(number, row.unit) for number in row.numbers().values()] or [""] * 5
+    count = str(len(row.samples) or "")
     ratio = "" if row.ratio is None else times(row.ratio)
-    return row.case, row.measured, *numbers, ratio, row.target
+    return row.case, row.measured, count, *numbers, ratio, row.target

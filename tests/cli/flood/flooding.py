@@ -23,13 +23,19 @@ from lfield.wire.coordinators import Transfer
 from lfield.wire.messages import Heard, Hello, Message, Ping, Refuse, Room, SignOfLife
 
 #: Frames of each kind, sent again and again.
-BLOCK = bytes(256 << 10)
+BLOCK, OVER = bytes(256 << 10), bytes(4 << 20)
 KINDS = {
     "pings": encode(Ping(1)) * 600,
     "records": encode(Ping(1)) * 600,
     "gossip": encode(Heard([], [SignOfLife(0, 7, 9)])) * 300,
     "rooms": encode(Room("")) * 300,
     "transfers": encode_transfer(Transfer("tom", 1, 1, 1, b"p" * 32, 7, len(BLOCK)), BLOCK) + BLOCK,
+    # Of several coordinators in turn, and blocks over the limit.
+    "turns": b"".join(
+        encode_transfer(Transfer(agent, 1, 1, 1, b"p" * 32, 7, len(BLOCK)), BLOCK) + BLOCK
+        for agent in ("tom", "ann", "eve")
+    ),
+    "oversize": encode_transfer(Transfer("tom", 1, 1, 1, b"p" * 32, 7, len(OVER)), OVER) + OVER,
 }
 
 

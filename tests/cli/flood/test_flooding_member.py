@@ -29,7 +29,7 @@ resource Post { init(string[] arg) { } portal greet() { write("greeted\\n"); } }
 coordinator Guest { init(string[] arg) { findPost("here").greet(); sleep(1000.0); } }
 """
 DEPLOYMENT = "//Copter:lead@alpha\n//Post:here@alpha\n//Guest:tom@charlie\n//@bravo\n"
-KINDS = ("pings", "records", "gossip", "rooms", "transfers", "handshakes")
+KINDS = ("pings", "records", "gossip", "rooms", "transfers", "turns", "oversize", "handshakes")
 
 
 class Flood:

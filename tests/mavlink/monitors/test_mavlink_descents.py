@@ -75,6 +75,44 @@ def test_a_hard_landing_is_no_impact_and_an_impact_is_one(landing, touch, crashe
     assert (found is not None and found.crashed) == crashes
 
 
+@pytest.mark.parametrize("sink", [0.3, 0.5, 0.8, 1.4])
+@pytest.mark.parametrize("goal", [40.0, 60.0, math.inf])
+def test_height_that_is_lost_is_a_fall_at_whatever_speed(sink, goal):
+    """In a hover, on a level way, and in a climb that it does not make."""
+    monitor = DescentMonitor()
+    monitor.may_descend(1.5, 0.5)
+    monitor.expect(Expected(goal))
+    ((at_, words),) = flown(monitor, 0.0, *[sink] * 6)
+    assert words.startswith("it falls: 1.")
+    assert at_ < 1.0 + 1.0 / sink + 1.0
+
+
+@pytest.mark.parametrize("sink", [0.4, 0.8])
+def test_height_that_is_lost_by_velocities_is_a_fall(sink):
+    monitor = DescentMonitor()
+    ((at_, words),) = flown(monitor, 0.0, *[sink] * 6, velocity=0.0)
+    assert words.startswith("it falls: 1.")
+    assert at_ < 1.0 + 1.0 / (sink - 0.18) + 1.0
+
+
+def test_a_gust_or_a_change_of_the_reference_of_heights_is_no_fall():
+    monitor = DescentMonitor()
+    monitor.expect(Expected(40.0))
+    assert flown(monitor, 0.0, 0.9, 0.9, 0.9, 0.3, -0.3, last=0.4) == [], "it climbs again"
+    assert flown(monitor, 0.0, 0.0, 0.0, height=36.0, began=2.5) == [], "home was set to another height"
+    assert flown(monitor, *[0.1] * 50, velocity=0.0, began=10.0) == [], "an error of the estimator"
+    assert monitor.falling == ""
+
+
+def test_a_way_down_ends_at_its_goal():
+    monitor = DescentMonitor()
+    monitor.may_descend(1.5, 0.5)
+    monitor.expect(Expected(35.0))
+    assert flown(monitor, *[1.0] * 5) == []
+    ((_, words),) = flown(monitor, *[0.5] * 5, height=35.0, began=5.1)
+    assert words.startswith("it falls: 1.")
+
+
 def test_what_stands_falls_no_more():
     monitor = DescentMonitor()
     monitor.expect(Expected(math.inf))
@@ -160,3 +198,38 @@ def test_a_vehicle_that_lands_fast_by_its_own_parameters_is_not_locked_out(bench
 
     b.run(mission)
     assert b.lock_outs == []
+
+
+@pytest.mark.few(3)
+@pytest.mark.parametrize("flavour", STACKS)
+@pytest.mark.parametrize("what", ["goTo", "yaw", "orbit", "hold", "setVelocity"])
+def test_a_copter_that_sinks_slowly_is_falling(bench, flavour, what, monkeypatch):
+    """At 0.8 m/s, half of its own speed of descent; neither its speed nor a text tells."""
+    monkeypatch.setattr("lfield_sim.autopilot.flight.TELLS", math.inf)
+    b = bench(flavour=flavour, ttl=1.0, limits={"speed": 2.0})
+    values = {
+        "goTo": [60.0, 0.0, -20.0],
+        "orbit": [10.0, 0.0, -20.0, 10.0, 1.0, 3.0],
+        "setVelocity": [0.5, 0.0, 0.0],
+        "hold": [],
+    }
+
+    async def flight(fc):
+        for turn in range(40):
+            await fc.execute(what, [0.5 * turn] if what == "yaw" else values[what])
+            await asyncio.sleep(0.3)
+
+    async def mission(fc):
+        await up(fc, 20.0)
+        await fc.execute("hold", [])
+        began = at(3.0, lambda: b.faults.apply(["motor_power=0.745"]))
+        flying = asyncio.ensure_future(flight(fc))
+        await b.until(lambda: bool(fc.motion.monitor.falling))
+        assert 1.0 < asyncio.get_running_loop().time() - began < (4.0 if what == "setVelocity" else 3.5)
+        assert fc.motion.monitor.falling.startswith("it falls: 1.")
+        if what != "hold":
+            _, reason = await fails(b, flying)
+            assert "it falls: 1." in reason
+        flying.cancel()
+
+    b.run(mission)

@@ -137,3 +137,28 @@ def test_a_slow_orbit_does_not_give_up_on_its_way_to_the_circle(bench):
         await fc.execute("orbit", [0.0, 0.0, -8.0, 12.0, 0.5, 0.1])
 
     b.run(story)
+
+
+@pytest.mark.parametrize(("asked", "own"), [(None, 2.0), (None, 3.0), (2.0, 3.0), (3.0, 1.0)])
+def test_a_rovers_mission_does_not_shoot_over_its_speed(bench, asked, own):
+    """By DO_CHANGE_SPEED the real one drove 2.22 of 2 and 3.44 of 3, by WP_SPEED 2.05 of 2."""
+    b = bench(kind="rover", limits={"speed": 3.0 if asked else own})
+    b.autopilot.parameters["WP_SPEED"] = own
+
+    async def story(fc):
+        if asked:
+            await fc.execute("setSpeed", [asked])
+        places = [b.fakes[1].place.at(*place) for place in ((40.0, 0.0), (40.0, 40.0), (0.0, 40.0))]
+        way = [part for lat, lon in places for part in (lat / 1e7, lon / 1e7, 0.0)]
+        await fc.execute("uploadMission", [way])
+        await fc.execute("arm", [])
+        await fc.execute("startMission", [])
+        fastest = 0.0
+        async with asyncio.timeout(150.0):
+            while b.values["missionReached"] < 2:
+                await asyncio.sleep(0.05)
+                fastest = max(fastest, math.hypot(*b.autopilot.vehicle.velocity[:2]))
+        return fastest
+
+    wanted = asked or own
+    assert 0.85 * wanted < b.run(story) <= wanted * STILL_AIR

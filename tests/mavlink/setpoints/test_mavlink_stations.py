@@ -45,6 +45,20 @@ async def go(b, fc, way, flies):
         await fc.execute("takeoff", [8.0])
     if way == "goTo":
         return asyncio.create_task(fc.execute("goTo", [200.0, 0.0, down]))
+    if way in ("hold", "pause"):
+        if way == "pause":
+            latitude, longitude, _ = b.values["globalPosition"]
+            await fc.execute("uploadMission", [[latitude + 2e-3, longitude, -down]])
+            await fc.execute("startMission", [])
+            await asyncio.sleep(3.0)
+            await fc.execute("pauseMission", [])
+        else:
+            flight = asyncio.create_task(fc.execute("goTo", [200.0, 0.0, down]))
+            await asyncio.sleep(3.0)
+            await fc.execute("hold", [])
+            await asyncio.gather(flight, return_exceptions=True)
+        await asyncio.sleep(4.0)
+        return asyncio.create_task(asyncio.sleep(0.0))
     if way == "hover":
         await fc.execute("goTo", [3.0, 0.0, down])
         return asyncio.create_task(asyncio.sleep(0.0))
@@ -105,6 +119,42 @@ def test_an_ardupilot_flies_no_mission_on_when_host_and_guard_are_dead(bench):
             assert b.autopilot.now - died < 3.0
             await asyncio.sleep(0.02)
         other.cancel()
+
+    b.run(story)
+
+
+@pytest.mark.parametrize("way", ["hold", "pause"])
+@pytest.mark.parametrize("state", ["land", "return"])
+def test_an_ardupilot_that_was_told_to_hold_is_safe_in_time_too(bench, way, state):
+    """In BRAKE its failsafe would not act: with FS_OPTIONS bit 4, the default, that is a mode of a pilot."""
+    b = bench(safe_state=state)
+
+    async def story(fc):
+        await go(b, fc, way, flies=True)
+        assert b.autopilot.mode == "GUIDED"
+        assert b.autopilot.parameters["FS_OPTIONS"] == 24
+        place = b.autopilot.vehicle.place
+        await asyncio.sleep(3.0)
+        assert b.autopilot.vehicle.place == pytest.approx(place, abs=0.3)
+        b.cut, died = True, b.autopilot.now
+        while b.autopilot.mode != SAFE["ardupilot", "copter"][state]:
+            assert b.autopilot.now - died < BOUNDS["ardupilot", "copter"]
+            await asyncio.sleep(0.02)
+
+    b.run(story)
+
+
+def test_a_pilot_flies_on_when_the_station_is_gone(bench):
+    b = bench()
+
+    async def story(fc):
+        await go(b, fc, "hold", flies=True)
+        b.autopilot.command("POSHOLD")
+        await asyncio.sleep(2.0)
+        b.cut = True
+        await asyncio.sleep(6.0)
+        assert b.autopilot.mode == "POSHOLD"
+        assert b.autopilot.critical, "it has noticed"
 
     b.run(story)
 

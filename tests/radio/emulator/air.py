@@ -8,8 +8,8 @@ from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
+from emulator.cells import Cell, Link
 from emulator.channel import SharedChannel
-from emulator.links import Cell, Link
 
 #: Sender and receiver.
 Way = tuple[int, int]

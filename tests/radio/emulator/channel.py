@@ -6,7 +6,7 @@ from collections import deque
 from collections.abc import Iterator
 from typing import Generic, NamedTuple, TypeVar
 
-from emulator.links import Channel
+from emulator.cells import Channel
 
 T = TypeVar("T")
 

@@ -24,7 +24,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any, NamedTuple, Self
 
-from emulator.links import Cell, Link
+from emulator.cells import Cell, Link
 from emulator.tun import DEVICE
 
 #: The networks that all robots are in; their numbers begin with 1.
@@ -205,10 +205,13 @@ class Radio:
         self._open.close()
 
     def _start_router(self, seed: int) -> subprocess.Popen[str]:
-        environment = os.environ | {"PYTHONPATH": str(Path(__file__).parents[1])}
-        pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
-        command = [sys.executable, "-m", "emulator.router"]
-        router = subprocess.Popen(command, env=environment, text=True, **pipes)
+        router = subprocess.Popen(
+            [sys.executable, "-m", "emulator.router"],
+            env=os.environ | {"PYTHONPATH": str(Path(__file__).parents[1])},
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+        )
         robots = [{"name": r.name, "addresses": r.addresses, "pid": r.pid} for r in self]
         assert router.stdin is not None
         assert router.stdout is not None

@@ -18,7 +18,7 @@ from contextlib import suppress
 from typing import Any
 
 from emulator.air import Air
-from emulator.links import Cell, Link
+from emulator.cells import Cell, Link
 from emulator.packets import Header, read_header
 from emulator.tun import open_tun
 
@@ -108,7 +108,8 @@ class Router:
     def _cut(self, seconds: float, one: str, other: str | None = None) -> None:
         """Of one robot and another, or all others."""
         for name in [other] if other else [name for name in self._names if name != one]:
-            self._air.cut(*self._numbers(one, name), time.monotonic() + seconds)
+            number, of_name = self._numbers(one, name)
+            self._air.cut(number, of_name, time.monotonic() + seconds)
 
     def _move(self, one: str, addresses: list[str]) -> None:
         (number,) = self._numbers(one)
@@ -126,7 +127,8 @@ def packed(address: str) -> bytes:
 
 def main() -> None:
     """Serve. A busy computer would be a poor radio of its own, so it runs before others where it may."""
-    told = json.loads(sys.stdin.buffer.raw.readline())  # type: ignore[attr-defined]  # unbuffered
+    with open(sys.stdin.fileno(), "rb", buffering=0, closefd=False) as control:
+        told = json.loads(control.readline())
     with suppress(OSError):
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(10))
     router = Router(**told)

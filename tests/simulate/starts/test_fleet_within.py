@@ -51,6 +51,17 @@ TEAM = "//Post:zero@alpha\n//Post:one@bravo\n//Post:two@carol\n//Boss:boss@alpha
 Event = Callable[[Fleet], None]
 
 
+def slow(seconds: float) -> Event:
+    """All that hosts say to one another is on its way for so long."""
+
+    def happens(fleet: Fleet) -> None:
+        for one in fleet.machines:
+            for other in fleet.machines:
+                fleet.network.ways.slow[one, other] = seconds, seconds
+
+    return happens
+
+
 def island(host: str, *, quietly: bool = False) -> Event:
     """Nobody can reach a host; `quietly`: its links seem to stand."""
 
@@ -97,11 +108,15 @@ def deaf(host: str) -> Event:
     return happens
 
 
-def ends(folder: Path, body: str, script: dict[float, Event], within: float = 60.0) -> tuple[float, str]:
+def ends(
+    folder: Path, body: str, script: dict[float, Event], within: float = 60.0, transit: float = 0.0
+) -> tuple[float, str]:
     """After how many seconds the block has ended, and how; events are by seconds since then."""
     (folder / "mission.L").write_text(PROGRAM.replace("//body", body))
     (folder / "mission.dL").write_text(TEAM)
     fleet = Fleet(load_mission(folder / "mission.dL", simulate=True), 1)
+    if transit:
+        slow(transit)(fleet)
     fleet.run(1.0)
     while not (asked := [at for at, _, text in fleet.log if "boss: asks" in text]):
         fleet.run(0.01)
@@ -274,3 +289,33 @@ def test_a_host_that_runs_no_programs_when_the_time_is_over_makes_the_block_late
 def test_a_host_that_is_paused_does_not_keep_a_block_beyond_its_time(tmp_path: Path) -> None:
     seconds, how = ends(tmp_path, of(20.0, 20.0), {1.0: paused("bravo", on=True)})
     assert seconds == pytest.approx(4.0, abs=0.1), how
+
+
+@pytest.mark.parametrize(
+    "body",
+    [
+        'within (4.0) { findPost("one").work(1, 20.0); }',
+        'within (4.0) { findPost("one").work(1, 0.5); findPost("two").work(2, 20.0); }',
+        'within (4.0) { findPost("one").work(1, 0.1); findPost("zero").work(2, 20.0); }',
+        of(20.0, 20.0),
+        'within (4.0) { reserve (findPost("one")) { sleep(20.0); } }',
+    ],
+)
+def test_the_time_between_hosts_counts(tmp_path: Path, body: str) -> None:
+    """0.5 s each way, which the heartbeats of the links have measured before the block begins."""
+    seconds, how = ends(tmp_path, body, {}, transit=0.5)
+    assert how.startswith("time limit: the time is over"), how
+    late = re.search(r"([0-9.]+) s late", how)
+    assert seconds - 4.0 - (float(late[1]) if late else 0.0) == pytest.approx(0.0, abs=0.15), how
+
+
+@pytest.mark.parametrize("seconds", [0.3, 1.2])
+def test_a_hop_that_would_arrive_too_late_is_not_begun(tmp_path: Path, seconds: float) -> None:
+    """It stays where it is, and the block ends in time; the exception says why. A question comes first."""
+    body = f'within ({seconds}) {{ sleep({max(0.0, seconds - 0.3)}); findPost("one").work(1, 20.0); }}'
+    took, how = ends(tmp_path, body, {}, transit=0.5)
+    assert took == pytest.approx(seconds, abs=0.05), how
+    assert re.search(
+        r"the time is over before one\.work\(\) could begin: the way to bravo takes [01]\.[0-9] s", how
+    ), how
+    assert "late" not in how

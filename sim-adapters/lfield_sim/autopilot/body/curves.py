@@ -1,7 +1,8 @@
 """The curves of ArduPilot's missions as points: a spline through its places, and an arc to one.
 
-Spline: AC_WPNav::set_spline_destination_loc and SplineCurve of ArduPilot, a cubic Hermite curve whose tangents
-follow from the neighbours of its ends. Arc: MAV_CMD_NAV_ARC_WAYPOINT. Metres north, east and down; pure geometry.
+Spline: AC_WPNav::set_spline_destination_loc and SplineCurve of ArduPilot, a cubic Hermite curve whose
+tangents follow from the neighbours of its ends. Arc: MAV_CMD_NAV_ARC_WAYPOINT. Metres north, east and down;
+pure geometry.
 """
 
 from __future__ import annotations

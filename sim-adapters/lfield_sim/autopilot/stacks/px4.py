@@ -118,7 +118,7 @@ FLAVOUR = Flavour(
 )  # fmt: skip
 
 FAST, FAST_GOAL = Response(1.0, 0.45), Response(0.9, 0.5)
-#: The share of its own speeds of landing and descent that a copter comes down at (px4-copter.f-fence-landing).
+#: The share of its own speed of landing that a copter comes down at (px4-copter.f-fence-landing).
 SINKS = 0.87
 #: It tells everything at once, and may be armed some seconds later.
 WARMING = Warming(

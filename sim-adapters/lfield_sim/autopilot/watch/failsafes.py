@@ -10,8 +10,11 @@ from lfield_sim.autopilot.flavours import BatteryLevel, Role
 from lfield_sim.autopilot.pilot import Pilot
 from lfield_sim.autopilot.watch.fences import Fences
 
-#: FS_OPTIONS bit 3: a landing goes on whatever fails.
-CONTINUE_LANDING = 0x8
+#: FS_OPTIONS bit 3: a landing goes on whatever fails; bit 4: a mode of a pilot goes on without a station, and
+#: so does BRAKE (Copter::failsafe_gcs_on_event and Mode::is_autopilot of ArduCopter 4.7).
+CONTINUE_LANDING, CONTINUE_PILOT = 0x8, 0x10
+BY_A_PILOT = (Role.MANUAL, Role.HOLD)
+CONTINUES = "GCS Failsafe - Continuing Pilot Control"
 #: Seconds from a start until ArduPilot looks after the station for the first time (all recordings; the real
 #: figure is 0.137, and what is heard comes a step late here).
 FIRST_LOOK = 0.117
@@ -134,6 +137,9 @@ class Failsafes:
         pause = pilot.value(rule.pause) if rule.pause and role is not Role.HOLD else 0.0
         lands_on = self._lands_on()
         held = rule.hold_text.format(pause=pause) if pause else rule.text
+        if not lands_on and pilot.role in BY_A_PILOT and self._has_option(CONTINUE_PILOT):
+            pilot.say(CONTINUES)
+            return
         pilot.say(rule.goes_on if lands_on else held)
         if role is not None and not lands_on:
             self._act_after(pause, role)
@@ -160,9 +166,11 @@ class Failsafes:
 
     def _lands_on(self) -> bool:
         """Whether it is landing and is told to go on with that (FS_OPTIONS bit 3)."""
+        return self._pilot.role is Role.LAND and self._has_option(CONTINUE_LANDING)
+
+    def _has_option(self, bit: int) -> bool:
         options = self._rules.gcs.options
-        wanted = bool(options and int(self._pilot.value(options)) & CONTINUE_LANDING)
-        return wanted and self._pilot.role is Role.LAND
+        return bool(options and int(self._pilot.value(options)) & bit)
 
     def _check_setpoints(self) -> None:
         """The setpoints end: ArduPilot stops a velocity, PX4 leaves the mode."""

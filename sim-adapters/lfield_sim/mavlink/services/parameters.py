@@ -39,6 +39,8 @@ MOST_NAMES = 100
 
 #: What PX4 lists first: a checksum of all the others, by which a client knows them again.
 HASH = "_HASH_CHECK"
+#: Counters that ArduPilot tells when they change (ap-copter.g-mission).
+COUNTERS = ("MIS_TOTAL", "FENCE_TOTAL", "RALLY_TOTAL")
 
 
 class ParameterType(IntEnum):
@@ -92,6 +94,7 @@ class Parameters(Service):
         self._numbers = {name: number for number, name in enumerate(self._names)}
         self._listing: deque[str] = deque()
         self._looked_up: deque[tuple[float, str]] = deque(maxlen=MOST_NAMES)
+        self._counted = {name: autopilot.parameters[name] for name in COUNTERS if name in self._numbers}
         self.handles = {
             dialect.MAVLINK_MSG_ID_PARAM_REQUEST_READ: self._on_request_read,
             dialect.MAVLINK_MSG_ID_PARAM_REQUEST_LIST: self._on_request_list,
@@ -99,10 +102,14 @@ class Parameters(Service):
         }
 
     def advance(self, now: float) -> list[Any]:
-        """The names that were looked up, and the next values of a list that was asked for."""
+        """The names that were looked up, counters that have changed, and the next values of a list."""
         found: list[Any] = []
         while self._looked_up and now >= self._looked_up[0][0]:
             found.append(self._value(self._looked_up.popleft()[1], named=True))
+        for name, before in self._counted.items():
+            if (count := self.autopilot.parameters[name]) != before:
+                self._counted[name] = count
+                found.append(self._value(name, named=True))
         listed = [self._listing.popleft() for _ in range(min(PER_STEP, len(self._listing)))]
         return found + [self._value(name) for name in listed]
 

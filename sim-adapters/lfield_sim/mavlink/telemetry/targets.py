@@ -1,9 +1,11 @@
 """Where an autopilot is going, as it tells: POSITION_TARGET_LOCAL_NED 85 and POSITION_TARGET_GLOBAL_INT 87.
 
-ArduPilot tells the goal of GUIDED, of a mission and of a return as 87, wherever that came from (ap-rover.g-mission,
-ap-rover.h-rover; `ModeAuto::get_wp` of ArduCopter 4.7), and nothing where it follows no place; a copter tells its setpoint as 85 in GUIDED (`ModeGuided::get_wp` and `send_position_target_local_ned` of
-ArduCopter 4.7). PX4 tells the goal of a mode of its own as 87, and its setpoint as 85, which are no numbers
-while it follows none (ap-rover.c-speed, px4-copter.c-speed, px4-copter.d-velocity).
+ArduPilot tells the goal of GUIDED, of a mission and of a return as 87, wherever that came from
+(ap-rover.g-mission, ap-rover.h-rover; `ModeAuto::get_wp` of ArduCopter 4.7), and nothing where it follows no
+place; a copter tells its setpoint as 85 in GUIDED (`ModeGuided::get_wp` and
+`send_position_target_local_ned` of ArduCopter 4.7). PX4 tells the goal of a mode of its own as 87, and its
+setpoint as 85, which are no numbers while it follows none (ap-rover.c-speed, px4-copter.c-speed,
+px4-copter.d-velocity).
 
 So a driver can see that another station has sent it elsewhere: an ArduCopter follows the last setpoint,
 whoever sent it.

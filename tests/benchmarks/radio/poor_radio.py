@@ -1,0 +1,90 @@
+"""lfield on poor radio, beside what else speaks over a network: hops, stops, outages, bytes at rest.
+
+Everything runs in network namespaces on an emulated radio (tests/radio/emulator), which needs root. Several
+teams, each on a radio of its own, are measured at a time; samples of all are put together.
+
+    make bench ONLY=radio                                     2,000 samples of each, some hours
+    make bench ONLY=radio ROUNDS=100                          so many samples of each
+    PARTS=stops CELLS='20 %,200 ms + 5 %' make bench ONLY=radio ROUNDS=100
+"""
+
+from __future__ import annotations
+
+import os
+import platform
+import socket
+from collections.abc import Callable, Iterator
+
+from emulator.cells import CELLS
+from emulator.tun import missing
+from harness.checkout import Checkout
+from harness.figure import Figure, Row
+from harness.samples import Tick, sentence
+from radio.radio_parts import hops, idle, outages, stops
+
+SAMPLES = 2000
+#: Options of TCP by their numbers (linux/tcp.h).
+OPTIONS = {
+    "TCP_THIN_LINEAR_TIMEOUTS": 16,
+    "TCP_RTO_MAX_MS": 44,
+    "TCP_RTO_MIN_US": 45,
+    "TCP_DELACK_MAX_US": 46,
+}
+#: The rows of a cell, or of all together.
+Part = Callable[[Checkout, int, Tick, str], Iterator[Row]]
+PARTS: dict[str, tuple[Part, tuple[str, ...]]] = {
+    "hops": (hops, tuple(CELLS)),
+    "stops": (stops, ("perfect", "20 %", "57.6 kbit/s + 100 ms + 5 %", "200 ms + 5 %")),
+    "outages": (outages, ("50 ms",)),
+    "idle": (idle, ("50 ms",)),
+}
+
+
+def rows(checkout: Checkout, samples: int, tick: Tick) -> Iterator[Row]:
+    """All parts, or those that $PARTS and $CELLS name."""
+    if why := missing():
+        yield Row("", "", error=why)
+        return
+    for name in chosen("PARTS", tuple(PARTS)):
+        part, cells = PARTS[name]
+        for cell in chosen("CELLS", cells):
+            try:
+                yield from part(checkout, samples, tick, cell)
+            except Exception as error:
+                yield Row(f"{name}, {cell}", "", error=sentence(error))
+
+
+def chosen(variable: str, names: tuple[str, ...]) -> list[str]:
+    """Those of the names that an environment variable lists; all when it is not set."""
+    said = os.environ.get(variable)
+    return [name for name in names if said is None or name in map(str.strip, said.split(","))]
+
+
+def kernel() -> str:
+    """Which options of TCP this kernel has."""
+    with socket.socket() as tried:
+        return ", ".join(f"{name} {_has(tried, number)}" for name, number in OPTIONS.items())
+
+
+def _has(tried: socket.socket, number: int) -> str:
+    try:
+        tried.getsockopt(socket.IPPROTO_TCP, number)
+    except OSError:
+        return "no"
+    return "yes"
+
+
+FIGURE = Figure(
+    f"Poor radio; {platform.system()} {platform.release()}: {kernel()}",
+    {},
+    rounds=SAMPLES,
+    own_rows=rows,
+    one_size="the cells differ by the radio, not by a size",
+    notes=(
+        "round trips; loss of each direction; 57.6 kbit/s are one half-duplex channel for a whole team",
+        "hops: two hops of a coordinator, against a request and an answer of 600 bytes",
+        "stops: until every device has confirmed, as the desk sees it; pressed again where that fails",
+        "outages: from the path's return until the next two hops, or the next answer, are complete",
+        "bytes are those of IP packets of both directions, lost ones included",
+    ),
+)

@@ -1,0 +1,103 @@
+"""Answers to arrivals: what replaces them, what takes them along, how late they are."""
+
+from __future__ import annotations
+
+import pytest
+
+from lfield.host.telling.answers import ANSWER_AFTER, Answers
+from lfield.mobility.effects import Send
+from lfield.wire.coordinators import Accepted, Transfer
+
+PROGRAM = """
+resource Echo {
+    init(string[] arg) { }
+    portal say() { }
+}
+coordinator Visitor {
+    init(string[] arg) {
+        Echo near = findEcho("near");
+        Echo far = findEcho("far");
+        for (int round = 0; round < 50; round += 1) { near.say(); far.say(); }
+        print("made " + i2s(hops()) + " hops");
+    }
+}
+"""
+DEPLOYMENT = "//Echo:near@alpha\n//Echo:far@bravo\n//Visitor:visitor@alpha\n"
+
+
+class Host:
+    """Answers on a clock that stands still unless it is moved."""
+
+    def __init__(self) -> None:
+        self.now, self.sent = 10.0, []
+        self.answers = Answers(self.sent.append, lambda: self.now)
+
+    def arrives(self, host: str, agent: str = "tom", generation: int = 1, sequence: int = 1) -> Send:
+        accepted = Accepted(agent, generation, sequence)
+        answer = Send(host, accepted)
+        self.answers.put(answer, accepted)
+        return answer
+
+    def leaves(self, host: str, agent: str = "tom", generation: int = 1) -> None:
+        self.answers.leaves(host, Transfer(agent, generation, 2, 2, b"p" * 32, 7, 0))
+
+
+def test_an_answer_is_sent_after_a_short_time():
+    host = Host()
+    answer = host.arrives("bravo")
+    assert host.answers.due == host.now + ANSWER_AFTER
+    host.answers.tick(host.now + ANSWER_AFTER / 2)
+    assert host.sent == []
+    host.answers.tick(host.now + ANSWER_AFTER)
+    assert host.sent == [answer]
+    assert host.answers.due is None
+
+
+def test_who_goes_back_brings_its_answer_and_who_goes_elsewhere_sends_it_first():
+    host = Host()
+    host.arrives("bravo")
+    host.leaves("bravo")
+    assert (host.sent, host.answers.due) == ([], None)
+    answer = host.arrives("bravo")
+    host.leaves("carol")
+    assert host.sent == [answer]
+
+
+def test_another_start_of_a_coordinator_brings_nothing():
+    host = Host()
+    answer = host.arrives("bravo", generation=1)
+    host.leaves("bravo", generation=2)
+    # Though sent together with it.
+    assert host.sent == [answer]
+
+
+def test_whatever_is_sent_to_a_host_takes_the_answers_for_it_along():
+    host = Host()
+    tom, ann, eve = (
+        host.arrives(at, agent) for at, agent in (("bravo", "tom"), ("carol", "ann"), ("bravo", "eve"))
+    )
+    host.answers.flush("bravo")
+    assert host.sent == [tom, eve]
+    host.answers.flush()
+    assert host.sent == [tom, eve, ann]
+
+
+def test_a_later_arrival_of_the_same_start_keeps_no_answer_back():
+    host = Host()
+    first, second = host.arrives("bravo", sequence=1), host.arrives("carol", sequence=3)
+    assert host.sent == [first]
+    host.now += ANSWER_AFTER
+    host.answers.tick(host.now)
+    assert host.sent == [first, second]
+
+
+@pytest.mark.parametrize("keeps", [False, True], ids=["without journals", "with journals"])
+def test_hops_to_and_fro_need_no_answers(fleet, keeps):
+    async def story(team):
+        alpha, bravo = await team.up(team.mission(PROGRAM, DEPLOYMENT), "alpha", "bravo", keeps=keeps)
+        await team.until(lambda: "made 99 hops" in alpha.log + bravo.log)
+        # Of 99 transfers; a busy computer may keep a few for longer than the short time.
+        assert team.network.sent["Transfer"] == 99
+        assert team.network.sent["Accepted"] <= 20
+
+    fleet(story)
