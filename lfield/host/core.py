@@ -26,7 +26,6 @@ from lfield.host.team.beginning import Beginning
 from lfield.host.team.begun import BegunPages
 from lfield.host.team.commands import Commands
 from lfield.host.team.coordinators import Coordinators
-from lfield.host.team.keeping import orders_in
 from lfield.host.team.leases import Leases
 from lfield.host.team.policy import Policies
 from lfield.host.team.relays import Relays
@@ -62,8 +61,7 @@ class HostCore:
     """One host of a mission, without the world around it.
 
     `incarnation` tells this life from the next; `unreachable_after` is in seconds. `memory` is the identity
-    of the host's journal, 0 without one, `pages` what that has kept, and `times` when, in Unix time.
-    `draw` gives random bytes that nobody can predict, so many.
+    of the host's journal, 0 without one, `pages` what that has kept, `times` when; `draw` gives random bytes.
     """
 
     def __init__(
@@ -94,7 +92,7 @@ class HostCore:
             mission.program, everybody, self.here, incarnation, self.world, clock, dice, fenced, engines
         )
         self.programs, machine.attached.rules = Programs(machine, clock.monotonic), mission.calls
-        self.orders = Executed(draw or dice.randbytes, orders_in(pages))
+        self.orders = Executed(draw or dice.randbytes, Executed.kept(pages))
         own = self._hello([])
         self._hops = hops = Hops(teller, machine, name, self.team)
         self._relays = relays = Relays(self.team.hosts, name, incarnation, clock, self._out)
@@ -102,7 +100,6 @@ class HostCore:
             mission, own, machine, clock, relays.send, unreachable_after, pages, times or {}, hops
         )
         self.directory = TeamDirectory(mission, name, incarnation, machine, nearby, clock)
-        #: The leases of coordinators that a majority may recover.
         self.leases = leases = Leases(mission, own, team, machine, clock, self._out, pages, dice)
         team.barred, self.mobility = leases.quorum.fences.bars, team.mobility
         self._begun = BegunPages(own.mission, team, leases, machine, clock, pages, keeps=bool(memory))
@@ -113,15 +110,13 @@ class HostCore:
         )
         self.directory.reserved = self.reserving.by
         self._inits, self._policies = Inits(machine.opening, self._say), Policies(mission.devices_of(name))
-        #: The instructions to devices that are under way.
         self.commands = Commands(machine, nearby, leases, self._policies, clock, self._out, teller)
         self._absent = absent = Absent(
             nearby, self.hearsay, clock, unreachable_after, self.mobility, self._out
         )
         machine.attached.signs = SignsOfLife(absent, self.team.hosts)
-        offers = Offers(self.directory, mission)
-        self.world.join(team, leases, self._begun, self.reserving, self.commands, offers, absent)
-        #: When the coordinators of this host begin, and what a new start of them waits for.
+        parts = self._begun, self.reserving, self.commands, Offers(self.directory, mission), absent
+        self.world.join(team, leases, *parts)
         self.startup = startup = Beginning(
             mission, name, team, leases, clock, self._out, nearby, self.hearsay, teller, kept=bool(memory)
         )
@@ -210,10 +205,7 @@ class HostCore:
     # --- life -----------------------------------------------------------------------------------------
 
     def start_resources(self, *, first: bool = False) -> None:
-        """The devices are open: start the resources, and take in the coordinators that came meanwhile.
-
-        `first`: somebody says that this host was never started before.
-        """
+        """The devices are open: start the resources, and take in what came meanwhile; `first` as below."""
         for member in self.team.on(self.here):
             if member.kind == "resource":
                 self.teller.started(member.id, 0)

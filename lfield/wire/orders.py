@@ -174,8 +174,8 @@ class RelayedAnswer(Struct, frozen=True, array_like=True, forbid_unknown_fields=
     datagram: Annotated[bytes, Meta(max_length=MAX_DATAGRAM)]
 
 
-#: The bytes of a confirmation that are left to devices, beside the signature and a certificate.
-_ROOM = MAX_DATAGRAM - 700
+#: The bytes of a confirmation that are left to sentences and devices, beside signature and certificate.
+_ROOM = MAX_DATAGRAM - 720
 
 T = TypeVar("T")
 _encode = msgspec.msgpack.Encoder().encode
@@ -226,7 +226,8 @@ def confirmed(id: bytes, epochs: Epochs, devices: Mapping[str, str], trouble: st
     """A confirmation of what `EmergencyStopped` says, with as many devices as fit; unsafe ones come first."""
     safe: list[str] = []
     unsafe: dict[str, str] = {}
-    room = _ROOM
+    trouble = clip(trouble, MAX_SENTENCE)
+    room = _ROOM - len(_encode(trouble))
     for name, why in sorted(devices.items(), key=lambda device: not device[1]):
         why = clip(why, MAX_SENTENCE)
         room -= len(_encode(name)) + (len(_encode(why)) if why else 0)
@@ -237,7 +238,7 @@ def confirmed(id: bytes, epochs: Epochs, devices: Mapping[str, str], trouble: st
         else:
             safe.append(name)
     more = len(devices) - len(safe) - len(unsafe)
-    return Confirmed(id, epochs, tuple(safe), unsafe, clip(trouble, MAX_SENTENCE), more)
+    return Confirmed(id, epochs, tuple(safe), unsafe, trouble, more)
 
 
 def with_attempt(answer: Answer, attempt: int) -> Answer:

@@ -15,9 +15,10 @@ present one. Ids that are forgotten do no harm: in the same epoch nothing has en
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import Literal
 
+from lfield.journal.pages import Page, Paused, Stopped
 from lfield.wire.orders import EPOCH_SIZE, HOLDS, UNKNOWN, Epochs, Kind
 
 #: What an order to end one ends.
@@ -43,6 +44,17 @@ class Executed:
         self._draw = draw
         self.epochs = Epochs(self._new(), self._new())
         self._orders: OrderedDict[bytes, tuple[Kind, bool]] = OrderedDict(kept or {})
+
+    @staticmethod
+    def kept(pages: Iterable[Page]) -> dict[bytes, tuple[Kind, bool]]:
+        """The ids of the last orders that the pages of a journal have, each with whether it still holds."""
+        found: dict[bytes, tuple[Kind, bool]] = {}
+        for page in pages:
+            if isinstance(page, Stopped) and page.order:
+                found[page.order] = ("stop", True) if page.reason else ("lift", False)
+            elif isinstance(page, Paused) and page.order:
+                found[page.order] = ("pause", True) if page.on else ("resume", False)
+        return found
 
     def standing(self, kind: Kind, id: bytes, epoch: bytes) -> Standing:
         """What is to be done with an order that came.

@@ -43,7 +43,6 @@ from lfield.mobility.effects import (
     Supersede,
 )
 from lfield.wire.coordinators import TERMINATED, Known
-from lfield.wire.orders import Kind
 
 #: The longest that a page waits for company, in seconds.
 SOON = 1.0
@@ -229,17 +228,6 @@ class Recovery:
         if last and self.goes_on and last.generation >= (self.starts or 0):
             return f"has ended ({last.outcome}) in the run that goes on here; --fresh begins another one"
         return ""
-
-
-def orders_in(pages: Iterable[Page]) -> dict[bytes, tuple[Kind, bool]]:
-    """The ids of the last orders to stop and to pause that pages have, with whether what each began holds."""
-    found: dict[bytes, tuple[Kind, bool]] = {}
-    for page in pages:
-        if isinstance(page, Stopped) and page.order:
-            found[page.order] = ("stop", True) if page.reason else ("lift", False)
-        elif isinstance(page, Paused) and page.order:
-            found[page.order] = ("pause", True) if page.on else ("resume", False)
-    return found
 
 
 def _outdated(copies: Iterable[CopyPage]) -> list[CopyPage]:

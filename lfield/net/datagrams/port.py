@@ -12,12 +12,11 @@ from collections.abc import Callable, Hashable
 from contextlib import suppress
 from typing import Protocol
 
+from lfield.net.datagrams.kernel_filter import MOST, SECONDS, SHORTEST, Flooder, attach, flooder
 from lfield.wire.orders import MAGIC, MAX_DATAGRAM
 
 #: So many datagrams at most are read in a turn of the event loop, and for so many seconds in each WINDOW.
 AT_ONCE, WINDOW, SHARE = 32, 0.02, 0.004
-#: The shortest datagram that may be an order, in bytes: a signature and what is around it.
-SHORTEST = 120
 #: What the kernel holds, in bytes, so that a real order is not lost while others are dropped.
 BUFFER = 1 << 20
 
@@ -44,6 +43,9 @@ class DatagramPort:
         self._loop = asyncio.get_running_loop()
         self._since, self._spent = self._loop.time(), 0.0
         self._waiting: asyncio.TimerHandle | None = None
+        #: The senders whose datagrams the kernel drops, each until when.
+        self._flooders: dict[Flooder, float] = {}
+        attach(made, ())
         self._loop.add_reader(made.fileno(), self._read)
 
     def send(self, address: Address, data: bytes) -> None:
@@ -80,8 +82,31 @@ class DatagramPort:
             except OSError:
                 # Nothing is left, or an earlier answer could not be delivered.
                 return
-            if SHORTEST <= len(data) <= MAX_DATAGRAM and data.startswith(MAGIC) and may_look(address):
+            if not (SHORTEST <= len(data) <= MAX_DATAGRAM and data.startswith(MAGIC)):
+                continue
+            if may_look(address):
                 self._reader.received(self, address, data)
+            else:
+                self._drop(address)
+
+    def _drop(self, address: Address) -> None:
+        """Have the kernel drop what this sender sends in the next seconds."""
+        found = flooder(address[0], address[1])
+        if found not in self._flooders and len(self._flooders) < MOST:
+            if not self._flooders:
+                self._loop.call_later(SECONDS, self._forgive)
+            self._flooders[found] = self._loop.time() + SECONDS
+            attach(self._socket, self._flooders)
+
+    def _forgive(self) -> None:
+        """Receive again what is sent by those whose time is over."""
+        if self._socket.fileno() < 0:
+            return
+        now = self._loop.time()
+        self._flooders = {found: until for found, until in self._flooders.items() if until > now}
+        attach(self._socket, self._flooders)
+        if self._flooders:
+            self._loop.call_later(min(self._flooders.values()) - now, self._forgive)
 
 
 class Serving:

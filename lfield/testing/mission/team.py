@@ -16,7 +16,6 @@ from typing import cast
 
 from lfield.authority.identity import ALL, Identity
 from lfield.errors import MissionTestError, Stuck
-from lfield.host.host import Host
 from lfield.mission.load import load_mission
 from lfield.net.transport import Link
 from lfield.simulate.fleet import Fleet, Life
@@ -30,7 +29,6 @@ from lfield.testing.mission.picture import Mark
 from lfield.testing.mission.standing import standing
 from lfield.testing.mission.watching import Hop, Hops, Line, Lines, Point, Tracks
 from lfield.wire.observing import Pause, named
-from lfield.wire.orders import ID_SIZE
 
 #: Seconds of virtual time after which what has not come is not waited for any more.
 AT_MOST = 3600.0
@@ -49,13 +47,8 @@ LAST_WORDS = 5
 
 
 class _Desk:
-    """The link of the person who gives commands in a test; it ignores the answers."""
-
+    # Whoever gives commands in a test; answers are ignored.
     peer, who, send = "the test", Identity("person", "the test", ALL), staticmethod(lambda message: None)
-
-
-def _say(host: Host, order: Pause) -> None:
-    host.received("", named(order, host.core.orders.epochs), cast(Link, _Desk))
 
 
 class Team:
@@ -81,8 +74,6 @@ class Team:
         self._outcomes: dict[str, tuple[int, str]] = {}
         #: What the test has done to the team, for its picture; the hosts that it has ended.
         self.marks, self._away = list[Mark](), set[str]()
-        #: For the ids of orders.
-        self._pauses = 0
         self._calls, self._hops = Calls(lambda: self.now), Hops(lambda: self.now)
         #: Words that somebody shall say, and how much of the log was looked at for them.
         self._awaited, self._read = "", 0
@@ -366,10 +357,10 @@ class Team:
 
     def _pause(self, *, lift: bool) -> None:
         self._be_open()
-        self._pauses += 1
-        order = Pause(self._pauses.to_bytes(ID_SIZE), lift)
+        order = Pause(len(self.marks).to_bytes(16), lift)
         for life in self._fleet.lives.values():
-            life.process.loop.enter(partial(_say, life.host, order))
+            word = named(order, life.core.orders.epochs)
+            life.process.loop.enter(partial(life.host.received, "", word, cast(Link, _Desk)))
 
     def close(self) -> None:
         """End all that runs, at once; what was recorded can still be read.

@@ -1,0 +1,96 @@
+"""A filter in the kernel for the datagrams of a socket: what it drops takes no processor time of the host.
+
+Classic BPF (`SO_ATTACH_FILTER`, Linux). It drops what cannot be an order by its size and first bytes, and all
+of senders that send too much, each for a while. Without it a flood fills the socket's buffer, so that the
+kernel drops a real order with the rest. Kernels without filters receive all; the rations hold there too.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import socket
+import struct
+from collections.abc import Iterable
+from typing import NamedTuple
+
+from lfield.wire.orders import MAGIC, MAX_DATAGRAM
+
+#: The shortest datagram that may be an order, in bytes: a signature and what is around it.
+SHORTEST = 120
+#: So many senders at most are dropped at a time, each for so many seconds from when it has sent too much.
+MOST, SECONDS = 32, 2.0
+
+_SO_ATTACH_FILTER = 26
+#: Opcodes: load a word, a half word or a byte at a place, or the size; and; jump if equal, greater or equal,
+#: or greater; return.
+_LD, _LDH, _LDB, _LEN, _AND, _JEQ, _JGE, _JGT, _RET = 0x20, 0x28, 0x30, 0x80, 0x54, 0x15, 0x35, 0x25, 0x06
+#: Where the IP header begins for a load, and the size of the UDP header, in bytes.
+_NET, _UDP = 0xFFF00000, 8
+_ALL, _NONE = 0xFFFFFFFF, 0
+
+
+class Flooder(NamedTuple):
+    """A sender that sends too much: its address as packed bytes (4 or 16), and its port."""
+
+    address: bytes
+    port: int
+
+
+def flooder(host: str, port: int) -> Flooder:
+    """A sender by its address as sockets have it. Raises OSError."""
+    host = host.partition("%")[0]
+    if ":" not in host:
+        return Flooder(socket.inet_pton(socket.AF_INET, host), port)
+    packed = socket.inet_pton(socket.AF_INET6, host)
+    is_mapped = packed.startswith(bytes(10) + b"\xff\xff")
+    return Flooder(packed[12:] if is_mapped else packed, port)
+
+
+def attach(receiving: socket.socket, flooders: Iterable[Flooder]) -> bool:
+    """Have the kernel drop what cannot be an order, and all of some senders; whether it does."""
+    code = program(flooders)
+    held = ctypes.create_string_buffer(code)
+    prog = struct.pack("HL", len(code) // 8, ctypes.addressof(held))
+    try:
+        receiving.setsockopt(socket.SOL_SOCKET, _SO_ATTACH_FILTER, prog)
+    except OSError:
+        return False
+    return True
+
+
+def program(flooders: Iterable[Flooder]) -> bytes:
+    """The filter as the kernel reads it. Of an IPv6 address it compares the last 32 bits."""
+    known = list(flooders)[:MOST]
+    four = _senders([one for one in known if len(one.address) == 4], _NET + 12)
+    six = _senders([one for one in known if len(one.address) == 16], _NET + 20)
+    code = [
+        (_LD, 0, 0, _UDP),
+        (_JEQ, 1, 0, int.from_bytes(MAGIC)),
+        (_RET, 0, 0, _NONE),
+        (_LEN, 0, 0, 0),
+        (_JGE, 1, 0, SHORTEST + _UDP),
+        (_RET, 0, 0, _NONE),
+        (_JGT, 0, 1, MAX_DATAGRAM + _UDP),
+        (_RET, 0, 0, _NONE),
+        (_LDB, 0, 0, _NET),
+        (_AND, 0, 0, 0xF0),
+        (_JEQ, 0, len(six), 0x60),
+        *six,
+        *four,
+    ]
+    return b"".join(struct.pack("=HBBI", *line) for line in code)
+
+
+def _senders(senders: list[Flooder], place: int) -> list[tuple[int, int, int, int]]:
+    """Drop the datagrams of some senders whose addresses stand at a place, and take all others."""
+    code = []
+    for one in senders:
+        word = int.from_bytes(one.address[-4:])
+        code += [
+            (_LD, 0, 0, place),
+            (_JEQ, 0, 3, word),
+            (_LDH, 0, 0, 0),
+            (_JEQ, 0, 1, one.port),
+            (_RET, 0, 0, _NONE),
+        ]
+    return [*code, (_RET, 0, 0, _ALL)]

@@ -1,0 +1,201 @@
+"""Hosts and desks that exchange datagrams over a network that loses and delays them; time is given."""
+
+from __future__ import annotations
+
+import heapq
+import itertools
+import random
+from collections.abc import Callable
+from functools import cache, partial
+
+from lfield.authority.admission import Judged
+from lfield.authority.believed import BelievedTime
+from lfield.authority.identity import ALL, Right
+from lfield.authority.keys import Keys
+from lfield.authority.making import Authority, new_authority
+from lfield.authority.orders.signing import Certificates, Signer, verified_order
+from lfield.clock import ManualClock
+from lfield.errors import LfieldError
+from lfield.host.orders.executed import Executed
+from lfield.host.stopping.datagrams import Checking, OrderDatagrams
+from lfield.host.stopping.rations import Sender
+from lfield.host.stopping.stops import Answering
+from lfield.operator.orders.asking import Asking, Send
+from lfield.wire.observing import EmergencyStop, EmergencyStopped, OrderChallenge, Pause
+from lfield.wire.orders import Epochs, Kind, RelayedAnswer, RelayedOrder
+
+#: Seconds since 1970 UTC, when all certificates begin, and when they end.
+AT, ENDS = 1795464000.0, 1795464000.0 + 86400.0
+
+
+@cache
+def authority(number: int) -> Authority:
+    return new_authority(AT, ENDS + number)
+
+
+@cache
+def keys(holder: str, name: str, may: frozenset[Right] = frozenset(), number: int = 0) -> Keys:
+    made = authority(number)
+    issued = made.issue(holder, name, may=may, at=AT, ends=ENDS)  # type: ignore[arg-type]
+    return Keys(holder, made.certificate, issued.certificate, issued.key)  # type: ignore[arg-type]
+
+
+def person(name: str = "anna", may: frozenset[Right] = ALL, number: int = 0) -> Keys:
+    return keys("person", name, may, number)
+
+
+class World:
+    """The network. Each datagram is lost with a probability and takes a time; `cut` holds (from, to)."""
+
+    def __init__(self, *hosts: str, loss: float = 0.0, delay: float = 0.01, seed: int = 1) -> None:
+        self.now, self.loss, self.delay = 0.0, loss, delay
+        self.dice = random.Random(seed)
+        self._events: list[tuple[float, int, Callable[[], None]]] = []
+        self._count = itertools.count()
+        self.cut: set[tuple[str, str]] = set()
+        #: Every datagram, as (from, to, bytes).
+        self.sent: list[tuple[str, str, bytes]] = []
+        self.desks: dict[str, Desk] = {}
+        self.posts = {name: Post(self, name) for name in hosts}
+
+    def later(self, seconds: float, event: Callable[[], None]) -> None:
+        heapq.heappush(self._events, (self.now + seconds, next(self._count), event))
+
+    def run(self, seconds: float, until: Callable[[], bool] = lambda: False) -> None:
+        end = self.now + seconds
+        while not until() and self._events and self._events[0][0] <= end:
+            self.now, _, event = heapq.heappop(self._events)
+            event()
+        if not until():
+            self.now = end
+
+    def carry(self, source: str, target: str, data: bytes, taken: Callable[[], None]) -> None:
+        self.sent.append((source, target, data))
+        if (source, target) not in self.cut and self.dice.random() >= self.loss:
+            self.later(self.delay, taken)
+
+
+class Post:
+    """A host whose device takes `slow` seconds to be safe. It has links with all other hosts."""
+
+    def __init__(self, world: World, name: str) -> None:
+        self.world, self.name, self.slow = world, name, 0.05
+        self.revoked: frozenset[str] = frozenset()
+        #: What was executed, as (kind, reason), and by whom.
+        self.executed: list[tuple[Kind, str]] = []
+        self.checks = 0
+        self.held = {"stop": False, "pause": False}
+        self.clock, self.life = ManualClock(), 0
+        self.boot()
+
+    def boot(self, kept: dict[bytes, tuple[Kind, bool]] | None = None) -> None:
+        self.life += 1
+        own = keys("host", self.name)
+        self.signer, certificates = Signer(own), Certificates(own.authority)
+        self.orders = Executed(self.world.dice.randbytes, kept)
+        self.admission = Judged(own, self.signer.who, BelievedTime(self.clock, AT))
+        self.datagrams = datagrams = OrderDatagrams(
+            self.signer, certificates, self.admission, lambda: self.orders.epochs, lambda: self.world.now
+        )
+        datagrams.send, datagrams.relay, datagrams.check = self._send, self._relay, self._check
+        datagrams.linked = lambda: [name for name in self.world.posts if name != self.name]
+        datagrams.later, datagrams.execute = self._later, self._execute
+
+    def _later(self, seconds: float, event: Callable[[], None]) -> None:
+        life = self.life
+        self.world.later(seconds, lambda: event() if life == self.life else None)
+
+    def came(self, data: bytes, desk: str, network: str = "desk") -> None:
+        self.datagrams.came(data, Sender(network, desk))
+
+    def _send(self, sender: Sender, data: bytes) -> None:
+        desk = str(sender.address)
+        if desk in self.world.desks:
+            self.world.carry(self.name, desk, data, partial(self.world.desks[desk].heard, data))
+        else:
+            self.world.sent.append((self.name, desk, data))
+
+    def _relay(self, host: str, message: RelayedOrder | RelayedAnswer) -> None:
+        post = self.world.posts[host]
+        taken = partial(post.datagrams.relayed, self.name, message)
+        self.world.carry(self.name, host, message.datagram, taken)
+
+    def _check(self, checking: Checking) -> None:
+        self.checks += 1
+        found: object
+        try:
+            found = verified_order(checking.signed, checking.known, keys("host", self.name).authority)[1]
+        except LfieldError as error:
+            found = error
+        self._later(0.001, lambda: self.datagrams.checked(checking, found))  # type: ignore[arg-type]
+
+    def _execute(self, message: EmergencyStop | Pause, who: str, answer: Answering) -> None:
+        kind, hold = message.kind, "stop" if isinstance(message, EmergencyStop) else "pause"
+        standing = self.orders.standing(kind, message.id, message.epoch)
+        if standing == "new":
+            self.orders.execute(kind, message.id)
+            self.executed.append((kind, getattr(message, "reason", "")))
+            self.held[hold] = not message.lift
+            self._later(self.slow, lambda: self._answer(message, answer))
+        elif standing in ("holds", "done", "ended"):
+            self._answer(message, answer, "" if standing != "ended" else "ended")
+        elif standing == "old" and message.lift:
+            self._answer(message, answer, "newer")
+        else:
+            answer(OrderChallenge(message.id, self.orders.epochs))
+
+    def _answer(self, message: EmergencyStop | Pause, answer: Answering, trouble: str = "") -> None:
+        answer(EmergencyStopped({"p.fc": ""}, trouble, message.id, self.orders.epochs))
+
+
+class Desk:
+    """A person at a desk, who gives one order to hosts."""
+
+    def __init__(
+        self,
+        world: World,
+        kind: Kind,
+        hosts: dict[str, Epochs],
+        who: Keys | None = None,
+        *,
+        name: str = "desk",
+        id: bytes | None = None,
+        reason: str = "fog",
+    ) -> None:
+        self.world, self.name = world, name
+        who = who or person()
+        certificates = Certificates(who.authority)
+        order = world.dice.randbytes(16) if id is None else id
+        self.asking = Asking(kind, order, reason, hosts, Signer(who), certificates)
+        world.desks[name] = self
+        self.given_up = False
+        self.done_at: float | None = None
+        self.asking.start(world.now)
+        self._go_on()
+
+    def heard(self, data: bytes) -> None:
+        if not self.given_up:
+            self.asking.heard(data, self.world.now)
+            self._go_on()
+
+    def _go_on(self) -> None:
+        for send in self.asking.take():
+            self._put(send)
+        if self.asking.due is not None:
+            self.world.later(max(0.0, self.asking.due - self.world.now), self._tick)
+        elif self.done_at is None:
+            self.done_at = self.world.now
+
+    def _tick(self) -> None:
+        due = self.asking.due
+        if due is not None and due <= self.world.now and not self.given_up:
+            self.asking.tick(self.world.now)
+            self._go_on()
+
+    def _put(self, send: Send) -> None:
+        taken = partial(self.world.posts[send.host].came, send.datagram, self.name)
+        self.world.carry(self.name, send.host, send.datagram, taken)
+
+    @property
+    def is_done(self) -> bool:
+        return self.done_at is not None

@@ -1,0 +1,152 @@
+"""The sockets of datagrams: what reaches a host, and what the kernel drops before."""
+
+from __future__ import annotations
+
+import asyncio
+import socket
+from collections.abc import Callable
+
+import pytest
+
+from lfield.net.datagrams.kernel_filter import Flooder, attach, flooder
+from lfield.net.datagrams.port import Address, DatagramPort, beside, network_of
+from lfield.net.tcp import TcpTransport
+from lfield.net.transport import split_address
+from lfield.wire.orders import MAGIC, MAX_DATAGRAM
+
+SOUND = MAGIC + bytes(150)
+
+
+class Noted:
+    """Reads everything, but of some addresses so many only."""
+
+    def __init__(self) -> None:
+        self.came: list[bytes] = []
+        self.left: dict[object, int] = {}
+
+    def may_look(self, address: object) -> bool:
+        left = self.left.get(address, 1000)
+        self.left[address] = left - 1
+        return left > 0
+
+    def received(self, port: DatagramPort, address: Address, data: bytes) -> None:
+        self.came.append(data)
+        port.send(address, b"seen")
+
+
+def on_loop(story: Callable[[], object]) -> None:
+    async def run() -> None:
+        await story()  # type: ignore[misc]
+
+    asyncio.run(run())
+
+
+async def until(fact: Callable[[], bool]) -> None:
+    async with asyncio.timeout(20.0):
+        while not fact():
+            await asyncio.sleep(0.002)
+
+
+def sender() -> socket.socket:
+    made = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    made.bind(("127.0.0.1", 0))
+    made.settimeout(20.0)
+    return made
+
+
+@pytest.mark.parametrize("at", ["127.0.0.1:0", "[::1]:0"])
+def test_datagrams_come_to_the_number_of_the_listening_port_and_end_with_it(at: str) -> None:
+    async def story() -> None:
+        transport, noted = TcpTransport(1 << 16), Noted()
+        transport.datagrams = noted
+        try:
+            listener = await transport.listen(at, lambda link: None)  # type: ignore[arg-type,return-value]
+        except OSError:
+            pytest.skip("no IPv6 on this computer")
+        host, port = split_address(listener.address)
+        asks = socket.socket(socket.AF_INET6 if ":" in host else socket.AF_INET, socket.SOCK_DGRAM)
+        asks.sendto(SOUND, (host, port))
+        await until(lambda: noted.came == [SOUND])
+        asks.settimeout(20.0)
+        assert asks.recv(100) == b"seen"
+        listener.close()
+        again = socket.socket(asks.family, socket.SOCK_DGRAM)
+        again.bind((host, port))
+        again.close()
+        asks.close()
+
+    on_loop(story)
+
+
+def test_what_cannot_be_an_order_is_dropped() -> None:
+    async def story() -> None:
+        noted, asks = Noted(), sender()
+        made = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+        made.bind(("127.0.0.1", 0))
+        at = made.getsockname()
+        port = DatagramPort(beside(made), noted, float)
+        for wrong in (b"", MAGIC, b"GET / HTTP/1.1" + bytes(200), SOUND[:100], MAGIC + bytes(MAX_DATAGRAM)):
+            asks.sendto(wrong, at)
+        asks.sendto(SOUND, at)
+        await until(lambda: bool(noted.came))
+        assert noted.came == [SOUND]
+        port.close()
+        made.close()
+        asks.close()
+
+    on_loop(story)
+
+
+def test_of_a_sender_that_sends_too_much_the_kernel_drops_all_and_of_nobody_else() -> None:
+    made, floods, asks = sender(), sender(), sender()
+    made.settimeout(5.0)
+    if not attach(made, [flooder(*floods.getsockname())]):
+        pytest.skip("this kernel has no socket filters")
+    for _ in range(5):
+        floods.sendto(SOUND, made.getsockname())
+    asks.sendto(SOUND, made.getsockname())
+    assert made.recvfrom(2000)[1] == asks.getsockname()
+    made.setblocking(False)
+    with pytest.raises(BlockingIOError):
+        made.recv(2000)
+    attach(made, [])
+    floods.sendto(SOUND, made.getsockname())
+    made.settimeout(5.0)
+    assert made.recvfrom(2000)[1] == floods.getsockname()
+    for each in (made, floods, asks):
+        each.close()
+
+
+def test_a_flood_that_is_refused_does_not_hold_up_others() -> None:
+    async def story() -> None:
+        noted, floods, asks = Noted(), sender(), sender()
+        noted.left[floods.getsockname()] = 3
+        made = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+        made.bind(("127.0.0.1", 0))
+        port = DatagramPort(beside(made), noted, float)
+        for _ in range(100):
+            floods.sendto(SOUND, made.getsockname())
+        await until(lambda: len(noted.came) == 3)
+        asks.sendto(SOUND + b"!", made.getsockname())
+        await until(lambda: SOUND + b"!" in noted.came)
+        assert len(noted.came) == 4
+        port.close()
+        made.close()
+        floods.close()
+        asks.close()
+
+    on_loop(story)
+
+
+@pytest.mark.parametrize(
+    ("host", "network", "packed"),
+    [
+        ("10.1.2.3", "10.1.2.3", b"\x0a\x01\x02\x03"),
+        ("::ffff:10.1.2.3", "10.1.2.3", b"\x0a\x01\x02\x03"),
+        ("fe80::1%lo", "fe80000000000000", b"\xfe\x80" + bytes(13) + b"\x01"),
+        ("2001:db8::7", "20010db800000000", b"\x20\x01\x0d\xb8" + bytes(11) + b"\x07"),
+    ],
+)
+def test_addresses_are_rationed_by_their_networks(host: str, network: str, packed: bytes) -> None:
+    assert network_of((host, 1)) == network
+    assert flooder(host, 7) == Flooder(packed, 7)

@@ -1,0 +1,94 @@
+"""The bytes of orders as datagrams: bounds, and what does not fit."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from lfield.errors import WireError
+from lfield.wire.fields import MAX_NAME
+from lfield.wire.orders import (
+    MAGIC,
+    MAX_DATAGRAM,
+    MAX_HOSTS,
+    Epochs,
+    For,
+    Order,
+    SignedAnswer,
+    SignedOrder,
+    confirmed,
+    decode_answer,
+    decode_datagram,
+    decode_order,
+    devices_of,
+    encode_datagram,
+    encode_part,
+    parts,
+    short_reason,
+)
+
+ID = bytes(range(16))
+
+
+def signed(answer: bytes, certificate: int) -> SignedAnswer:
+    return SignedAnswer(answer, bytes(16), bytes(64), bytes(certificate))
+
+
+@given(
+    st.dictionaries(st.text(min_size=1, max_size=40), st.text(max_size=300), max_size=80),
+    st.text(max_size=500),
+)
+def test_a_confirmation_fits_with_a_certificate_and_counts_what_it_leaves_out(devices, trouble):
+    answer = confirmed(ID, Epochs(), devices, trouble)
+    assert len(encode_datagram(signed(encode_part(answer), 490))) <= MAX_DATAGRAM
+    told = devices_of(answer)
+    assert len(told) + answer.more == len(devices)
+    assert {name for name, why in told.items() if why} <= {name for name, why in devices.items() if why}
+    assert decode_answer(encode_part(answer)) == answer
+
+
+def test_what_is_not_safe_is_told_first():
+    devices = {f"arm{number}.fc": "" for number in range(100)} | {"zulu.fc": "it does not answer"}
+    answer = confirmed(ID, Epochs(), devices, "")
+    assert answer.unsafe == {"zulu.fc": "it does not answer"}
+    assert answer.more > 0
+
+
+@given(st.lists(st.text(min_size=1, max_size=MAX_NAME), min_size=1, max_size=100, unique=True))
+def test_hosts_are_parted_so_that_each_order_fits(names):
+    hosts = dict.fromkeys(names, bytes(8))
+    found = list(parts(hosts, 640))
+    assert [one.host for part in found for one in part] == names
+    for part in found:
+        assert len(part) <= MAX_HOSTS
+        order = encode_part(Order("resume", ID, "", part))
+        assert len(encode_datagram(SignedOrder(order, bytes(16), bytes(64)))) <= MAX_DATAGRAM
+
+
+@given(st.text(max_size=400))
+def test_a_reason_is_cut_between_characters(text):
+    reason = short_reason(text)
+    assert len(reason.encode()) <= 160
+    assert text.startswith(reason) or "?" in reason
+
+
+def test_an_order_that_names_a_host_twice_is_none():
+    order = Order("stop", ID, "", (For("alpha", bytes(8)), For("alpha", b"x" * 8)))
+    with pytest.raises(WireError, match="twice"):
+        decode_order(encode_part(order))
+
+
+@given(st.binary(max_size=MAX_DATAGRAM + 8))
+def test_any_bytes_are_a_datagram_or_a_wire_error(data):
+    for given_bytes in (data, MAGIC + data):
+        try:
+            decode_datagram(given_bytes)
+            decode_order(data)
+        except WireError:
+            continue
+
+
+def test_what_is_too_large_is_not_made():
+    with pytest.raises(WireError, match="does not fit"):
+        encode_datagram(signed(bytes(600), 600))
