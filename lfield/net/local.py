@@ -7,8 +7,9 @@ import socket
 from collections.abc import Sequence
 
 from lfield.errors import AddressError, UsageError
+from lfield.net.door import socket_address
 from lfield.net.paths.listener import bound
-from lfield.net.paths.names import numbers_of, socket_address
+from lfield.net.paths.names import numbers_of
 from lfield.net.paths.reasons import refusal
 from lfield.net.transport import split_address
 

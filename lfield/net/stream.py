@@ -8,10 +8,9 @@ from typing import TYPE_CHECKING, cast
 
 from lfield.authority.identity import STRANGER, Identity
 from lfield.errors import AddressError, LfieldError, OverBudget, WireError
-from lfield.net.door import caller_at, host_at
+from lfield.net.door import caller_at, host_at, socket_address
 from lfield.net.framed import FramedLink
 from lfield.net.health.tcp_options import LEAST_MARGIN, counts, margin, set_margin, set_options
-from lfield.net.paths.names import socket_address
 from lfield.net.waiting.handshakes import source_of
 from lfield.net.waiting.sending import HIGH_WATER, Sending
 

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 
 from lfield.connecting import first_connected
 from lfield.errors import AddressError, LfieldError
-from lfield.net.paths.names import Found, looked_up, socket_address
+from lfield.net.door import socket_address
+from lfield.net.paths.names import Found, looked_up
 from lfield.net.paths.reasons import refusal
 from lfield.net.transport import is_number, split_address
 

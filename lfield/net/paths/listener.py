@@ -11,7 +11,8 @@ from typing import Protocol
 
 from lfield.errors import AddressError
 from lfield.loop import spawn
-from lfield.net.paths.names import Found, looked_up, socket_address
+from lfield.net.door import socket_address
+from lfield.net.paths.names import Found, looked_up
 from lfield.net.paths.reasons import refusal
 from lfield.net.transport import is_lasting, split_address
 

@@ -15,10 +15,6 @@ from collections import Counter
 from contextlib import suppress
 from typing import NamedTuple
 
-from lfield.net.transport import UNIX, join_address
-
-#: Whoever called at a Unix socket, in sentences: it has no address.
-CALLER = "a command on this computer"
 #: So many lookups of one name may be under way; a further one waits for none of them, and fails.
 MOST_LOOKUPS = 4
 
@@ -82,19 +78,3 @@ def numbers_of(host: str, port: int, flags: int = 0, *, passive: bool = False) -
     flags |= socket.AI_PASSIVE if passive else 0
     rows = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM, flags=flags)
     return list(dict.fromkeys(Found(family, address) for family, _, _, _, address in rows))  # type: ignore[arg-type]
-
-
-def socket_address(name: str | tuple[str, int] | tuple[str, int, int, int]) -> str:
-    """The address of a socket, as transports have them: IPv6 in brackets, with its zone if it has one."""
-    if isinstance(name, str):
-        return f"{UNIX}{name}" if name else CALLER
-    host, port, zone = name[0], name[1], name[3] if len(name) == 4 else 0
-    if host.startswith("::ffff:") and "." in host:
-        # Of a socket for both families.
-        host = host.removeprefix("::ffff:")
-    if zone and "%" not in host:
-        try:
-            host = f"{host}%{socket.if_indextoname(zone)}"
-        except OSError:
-            host = f"{host}%{zone}"
-    return join_address(host, port)
