@@ -44,7 +44,6 @@ SMALL = {
     "lfield/host/sight/programs.py": "for how long programs have run",
     "lfield/net/paths/reasons.py": "what errors of sockets mean, a table",
     "lfield/net/waiting/bars.py": "the back-off of a member that sent too much",
-    "lfield/operator/observing.py": "what is alike of all links of observers",
     "lfield/net/control.py": "the door of a fake, from outside",
     "lfield/net/guests.py": "who may wait at the door before the greeting",
     "lfield/simulate/judging/breaches.py": "what a judge says, for all of them",
