@@ -27,8 +27,8 @@ class Profile:
     `guided` is the mode for our setpoints, `arming` the one to be armed in. `hold`, `land` and `home` are the
     safe states. `own` are modes that it enters by itself on the ground when it has done what we asked, so
     they are nobody else's doing. `retreats` are modes that its failsafes may choose beside those of the safe
-    states; in `autonomous` ones it moves by itself, whatever comes from here. `piloted` ones are a pilot's: the
-    failsafe for the ground station does not act in them.
+    states; in `autonomous` ones it moves by itself, whatever comes from here. `piloted` ones are a pilot's:
+    the failsafe for the ground station does not act in them.
     """
 
     autopilot: int
@@ -129,7 +129,8 @@ _COPTER_MODES = {
     27: "AUTO_RTL",
     28: "TURTLE",
 }
-#: With bit 4 of FS_OPTIONS, the default, its failsafe leaves these to a pilot (Mode::is_autopilot of ArduCopter 4.7).
+#: With bit 4 of FS_OPTIONS, the default, its failsafe leaves these to a pilot (ArduCopter 4.7,
+#: Mode::is_autopilot).
 _COPTER_PILOTED = frozenset(
     {
         "STABILIZE",

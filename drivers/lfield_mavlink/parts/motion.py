@@ -218,7 +218,7 @@ class Motion:
     def check_bounded(self, what: str, mode: str) -> None:
         """Refuse a mode that no failsafe ends when this computer dies, unless the binding waives that.
 
-        The binding's safe state and a landing may continue then; in the air a hover may not. Raises DeviceError.
+        The binding's safe state and a landing may continue then; a hover may not. Raises DeviceError.
         """
         profile, binding = self._vehicle.profile, self._vehicle.binding
         bounded = {profile.land, profile.safe(binding.safe_state)}
