@@ -98,10 +98,8 @@ class Host:
             self.teller,
             options.draw,
         )
-        core, guards, peers = self.core, self.guards, self.peers
-        self._visitors = Visitors(
-            core, guards, peers, clock, self._enter, self.status, self.note, self.scribe.all_kept
-        )
+        core, guards, peers, kept = self.core, self.guards, self.peers, self.scribe.all_kept
+        self._visitors = Visitors(core, guards, peers, clock, self._enter, self.status, self.note, kept)
         self._datagrams = self._order_datagrams(transport)
         self.broken: dict[str, bool] = {}  # by agent that has died here: whether of a bug of lfield
         #: Set when the host has failed: `failure` says by what.

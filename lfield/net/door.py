@@ -20,7 +20,10 @@ from collections.abc import Callable, Collection
 from contextlib import suppress
 
 from lfield.authority.identity import ALL, NONE, STRANGER, Identity, Right
+from lfield.net.transport import UNIX, join_address
 
+#: Whoever called at a Unix socket, in sentences: it has no address.
+CALLER = "a command on this computer"
 #: Whose members may observe and stop the hosts of others on this computer.
 GROUP = "lfield"
 ROOT = 0
@@ -101,3 +104,19 @@ def _name_of(user: int) -> str:
         return pwd.getpwuid(user).pw_name
     except KeyError:
         return str(user)
+
+
+def socket_address(name: str | tuple[str, int] | tuple[str, int, int, int]) -> str:
+    """The address of a socket, as transports have them: IPv6 in brackets, with its zone if it has one."""
+    if isinstance(name, str):
+        return f"{UNIX}{name}" if name else CALLER
+    host, port, zone = name[0], name[1], name[3] if len(name) == 4 else 0
+    if host.startswith("::ffff:") and "." in host:
+        # Of a socket for both families.
+        host = host.removeprefix("::ffff:")
+    if zone and "%" not in host:
+        try:
+            host = f"{host}%{socket.if_indextoname(zone)}"
+        except OSError:
+            host = f"{host}%{zone}"
+    return join_address(host, port)

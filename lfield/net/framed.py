@@ -9,6 +9,7 @@ from lfield.errors import AddressError, GreetingError, WireError
 from lfield.loop import unexpected
 from lfield.net.waiting.rations import PROVEN
 from lfield.wire.codec import (
+    PART,
     TRANSFER,
     decode,
     decode_transfer,
@@ -16,9 +17,11 @@ from lfield.wire.codec import (
     encode_transfer,
     frame_decoder,
     limits,
+    part_limits,
 )
 from lfield.wire.messages import Ping, Pong, Refuse
-from lfield.wire.observing import EmergencyStop, EmergencyStopped, Pause
+from lfield.wire.observing import EmergencyStop, EmergencyStopped, OrderChallenge, Pause
+from lfield.wire.orders import RelayedAnswer, RelayedOrder
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -36,11 +39,12 @@ _HEAVY = 1 << 11
 
 #: A block that is so many times as long as one may be proves that they never end.
 _MUCH_TOO_LONG = 16
+#: What precedes all that is queued: orders to stop and to pause with their answers, and heartbeats, so that a
+#: link with much to send is not taken for a silent one.
+_ORDERS = (EmergencyStop, EmergencyStopped, Pause, OrderChallenge, RelayedOrder, RelayedAnswer)
+_URGENT = (*_ORDERS, Ping, Pong)
 #: What is never withheld: nobody sends a coordinator because of it, and some of it makes robots stop.
-_NEVER_WITHHELD = (Ping, Pong, EmergencyStop, EmergencyStopped, Pause, Refuse)
-
-# Up to here one copy is cheaper than a second system call; a larger block is written by itself.
-_ONE_WRITE = 64 * 1024
+_NEVER_WITHHELD = (*_URGENT, Refuse)
 
 
 class FramedLink:
@@ -63,6 +67,8 @@ class FramedLink:
         self._error: LfieldError | None = None
         self._max_block = max_block
         self._decoder = frame_decoder(self._oversize)
+        #: For the frame that comes in parts.
+        self._parts = frame_decoder(self._oversize)
 
     def write(self, data: Buffer) -> None:
         """Queue bytes as they are. Only `send` and `send_transfer`, and tests of bad bytes, call it."""
@@ -70,6 +76,10 @@ class FramedLink:
 
     def write_now(self, data: Buffer) -> None:
         """Write bytes at once, behind what is queued; the same where a transport knows no difference."""
+        self.write(data)
+
+    def write_urgent(self, data: Buffer) -> None:
+        """Write a whole frame before all that is queued; as `write` where a transport has no queue."""
         self.write(data)
 
     def close(self) -> None:
@@ -83,6 +93,7 @@ class FramedLink:
     def greeted(self, role: Role) -> None:
         """See `Link.greeted`."""
         self._decoder.limits = limits(role, self._max_block)
+        self._parts.limits = part_limits(role, self._max_block)
 
     def expect(self, round_trip: float) -> None:
         """See `Link.expect`: nothing to do without a socket."""
@@ -92,9 +103,11 @@ class FramedLink:
         return None
 
     def send(self, message: Message) -> None:
-        """Queue a message. Raises AddressError on a closed link."""
+        """Queue a message, or send it before what is queued. Raises AddressError on a closed link."""
         self._require_open()
-        if self._withheld is None or isinstance(message, _NEVER_WITHHELD):
+        if isinstance(message, _URGENT):
+            self.write_urgent(encode(message))
+        elif self._withheld is None or isinstance(message, _NEVER_WITHHELD):
             self.write(encode(message))
         else:
             self._withheld.append(encode(message))
@@ -102,29 +115,21 @@ class FramedLink:
     def send_transfer(self, header: Transfer, block: Buffer) -> None:
         """Send a coordinator, at once. Raises AddressError on a closed link."""
         self._require_open()
-        head = encode_transfer(header, block)
+        data = b"".join((encode_transfer(header, block), block))
         if self._withheld is not None:
-            self._withheld += (head, block)
-        elif len(block) <= _ONE_WRITE:
-            self.write_now(b"".join((head, block)))
+            self._withheld.append(data)
         else:
-            self.write_now(head)
-            self.write_now(block)
+            self.write_now(data)
 
     def received(self, data: Buffer) -> None:
         """Hand on what the next bytes complete; close on bytes or messages that must not be."""
         frame = self._decoder.whole(data)
         try:
             for kind, payload in self._decoder.feed(data) if frame is None else (frame,):
-                if kind == TRANSFER:
-                    header, block = decode_transfer(payload)
-                    if self._withheld is not None:
-                        self._weigh(header)
-                    self.handler.on_transfer(self, header, block)
+                if kind == PART:
+                    self._take_part(payload)
                 else:
-                    if self._withheld is not None:
-                        self._weight += 1 + len(payload) // _HEAVY
-                    self.handler.on_message(self, decode(kind, payload))
+                    self._take(kind, payload)
                 if self.closed:
                     break
         except (WireError, GreetingError) as error:
@@ -134,6 +139,23 @@ class FramedLink:
             self.close()
             unexpected(error)
 
+    def _take_part(self, data: memoryview) -> None:
+        if self._parts.one(data) < len(data):
+            raise WireError("a part has bytes of two frames")
+        for kind, payload in self._parts.feed(data):
+            self._take(kind, payload)
+
+    def _take(self, kind: int, payload: memoryview) -> None:
+        if kind == TRANSFER:
+            header, block = decode_transfer(payload)
+            if self._withheld is not None:
+                self._weigh(header)
+            self.handler.on_transfer(self, header, block)
+        else:
+            if self._withheld is not None:
+                self._weight += 1 + len(payload) // _HEAVY
+            self.handler.on_message(self, decode(kind, payload))
+
     def withhold(self, *, on: bool) -> None:
         """Send neither coordinators nor answers from now on, or all of them that wait.
 
@@ -142,7 +164,7 @@ class FramedLink:
         waiting, self._withheld = self._withheld, [] if on else None
         if on:
             self._weight, self._came = 0, set()
-            self._decoder.skipped = 0
+            self._decoder.skipped = self._parts.skipped = 0
         for data in waiting or ():
             self.write(data)
 
@@ -154,7 +176,8 @@ class FramedLink:
         again only after an answer, so a second transfer of one is a proof (PROVEN); of blocks that are too
         long so many bytes are that no host sends them before an answer.
         """
-        return self._weight + PROVEN * self._decoder.skipped // (_MUCH_TOO_LONG * self._max_block)
+        skipped = self._decoder.skipped + self._parts.skipped
+        return self._weight + PROVEN * skipped // (_MUCH_TOO_LONG * self._max_block)
 
     def _weigh(self, header: Transfer) -> None:
         self._weight += PROVEN if header.agent in self._came else 1
@@ -175,10 +198,11 @@ class FramedLink:
 
     def finished(self, error: LfieldError | None) -> None:
         """The stream has ended; the first reason known is the one reported."""
-        half = not self.closed and self._decoder.unfinished
+        half = not self.closed and (self._decoder.unfinished or self._parts.unfinished)
         self.closed = True
         # Now, and not when the collector finds this link: what never greeted must not pile up until then.
         self._decoder.forget()
+        self._parts.forget()
         if self._error is None and error is None and half:
             error = WireError("it closed the link in the middle of a message")
         self.handler.on_closed(self, self._error or error)

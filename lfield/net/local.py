@@ -7,10 +7,10 @@ import socket
 from collections.abc import Sequence
 
 from lfield.errors import AddressError, UsageError
+from lfield.net.door import socket_address
 from lfield.net.paths.listener import bound
 from lfield.net.paths.names import numbers_of
 from lfield.net.paths.reasons import refusal
-from lfield.net.stream import socket_address
 from lfield.net.transport import split_address
 
 

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, cast
 
 from lfield.authority.identity import STRANGER, Identity
 from lfield.errors import AddressError, LfieldError, OverBudget, WireError
-from lfield.net.door import caller_at, host_at
+from lfield.net.door import caller_at, host_at, socket_address
 from lfield.net.framed import FramedLink
 from lfield.net.health.tcp_options import LEAST_MARGIN, counts, margin, set_margin, set_options
-from lfield.net.transport import join_address
 from lfield.net.waiting.handshakes import source_of
+from lfield.net.waiting.sending import HIGH_WATER, Sending
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -25,10 +25,6 @@ if TYPE_CHECKING:
     from lfield.wire.framing import Buffer
     from lfield.wire.messages import Role
 
-#: What the address of a Unix socket begins with; the path follows.
-UNIX = "unix:"
-#: Whoever called at a Unix socket, in sentences: it has no address.
-CALLER = "a command on this computer"
 #: Seconds that a peer has to take the last words of a link that is closed.
 LAST_WORDS = 5.0
 #: So many bytes may wait at most for somebody who only looks: some of the longest answers.
@@ -67,7 +63,9 @@ class StreamLink(FramedLink, asyncio.Protocol):
         self._max_pending, self._calls = max_pending, calls
         self._on_link, self._reception, self._resident = on_link, reception, resident
         self._loop = asyncio.get_running_loop()
+        #: The frames of this turn, and those that the connection does not take yet.
         self._waiting: list[Buffer] = []
+        self._sending = Sending()
         self._patience: asyncio.TimerHandle | None = None
         #: Whether no message waits as one of a guest, and whether the other has greeted as an observer.
         self._straight, self._looks = calls, False
@@ -96,12 +94,45 @@ class StreamLink(FramedLink, asyncio.Protocol):
             self._waiting.append(data)
             self._flush()
         elif not self._transport.is_closing():
+            self._hand_over(data)
+
+    def write_urgent(self, data: Buffer) -> None:
+        """See `FramedLink.write_urgent`: in front of it may be only what this turn has sent before, such as a
+        greeting. Where nothing waits, it leaves with this turn."""
+        if not self._sending.is_busy and sum(map(len, self._waiting)) <= HIGH_WATER:
+            self.write(data)
+            return
+        self._flush()
+        if not self._transport.is_closing():
             self._put(data)
 
     def _flush(self) -> None:
         waiting, self._waiting = self._waiting, []
-        if waiting and not self._transport.is_closing():
+        if not waiting or self._transport.is_closing():
+            return
+        if not self._sending.is_busy and sum(map(len, waiting)) <= self._sending.part:
             self._put(waiting[0] if len(waiting) == 1 else b"".join(waiting))
+            return
+        for data in waiting:
+            self._hand_over(data)
+
+    def _hand_over(self, data: Buffer) -> None:
+        """Give a frame to the transport, or keep it until that takes more."""
+        if not self._sending.is_busy and len(data) <= self._sending.part:
+            self._put(data)
+            return
+        self._sending.add(data)
+        self._send_on()
+        if self._sending.size > self._max_pending:
+            self._error = WireError(f"it does not read: over {self._max_pending} bytes wait for it")
+            self.closed = True
+            self._transport.abort()
+
+    def _send_on(self) -> None:
+        while self._sending.is_due and not self._transport.is_closing():
+            self._put(self._sending.next())
+            if not self._sending.is_full:
+                self._sending.taken()
 
     def _put(self, data: Buffer) -> None:
         self._transport.write(data)
@@ -114,9 +145,8 @@ class StreamLink(FramedLink, asyncio.Protocol):
         self._is_rationed = self._straight and self.who.kind == "host"
         if self._is_rationed:
             self._join()
-        if self._looks and self._max_pending > FOR_OBSERVERS:
-            self._max_pending = FOR_OBSERVERS
-            self._transport.set_write_buffer_limits(high=self._max_pending)
+        if self._looks:
+            self._max_pending = min(self._max_pending, FOR_OBSERVERS)
 
     def expect(self, round_trip: float) -> None:
         """See `Link.expect`: the option is set when it changes by a quarter."""
@@ -132,6 +162,9 @@ class StreamLink(FramedLink, asyncio.Protocol):
     def close(self) -> None:
         self.withhold(on=False)
         self._flush()
+        if not self._transport.is_closing():
+            for data in self._sending.rest():
+                self._put(data)
         self.closed = True
         self._transport.close()
         if self._patience is None and self._transport.get_write_buffer_size():
@@ -152,7 +185,7 @@ class StreamLink(FramedLink, asyncio.Protocol):
             set_options(made)
             self._socket = made
             self.who = self._resident(self.peer)
-        self._transport.set_write_buffer_limits(high=self._max_pending)
+        self._transport.set_write_buffer_limits(high=HIGH_WATER)
         self.handler = self._on_link(self)
 
     def data_received(self, data: bytes) -> None:
@@ -220,10 +253,13 @@ class StreamLink(FramedLink, asyncio.Protocol):
             self.close()
 
     def pause_writing(self) -> None:
-        """Asyncio's word for: more bytes wait than `max_pending`."""
-        self._error = WireError(f"it does not read: over {self._max_pending} bytes wait for it")
-        self.closed = True
-        self._transport.abort()
+        """The transport has as much as it should."""
+        self._sending.full(self._loop.time())
+
+    def resume_writing(self) -> None:
+        """It takes more."""
+        self._sending.free(self._loop.time())
+        self._send_on()
 
     def connection_lost(self, exc: Exception | None) -> None:
         if self._patience is not None:
@@ -231,6 +267,7 @@ class StreamLink(FramedLink, asyncio.Protocol):
         self._reception.leave(self)
         self._reception.members.leave(self, self._member)
         self._left = None
+        self._sending.clear()
         self.finished(AddressError(self.peer, f"the connection was lost: {exc}") if exc else None)
 
 
@@ -352,19 +389,3 @@ class TlsLink(StreamLink):
 def nobody_known(address: str) -> Identity:
     """Who is at an address: on a network that is no proof of anything."""
     return STRANGER
-
-
-def socket_address(name: str | tuple[str, int] | tuple[str, int, int, int]) -> str:
-    """The address of a socket, as transports have them: IPv6 in brackets, with its zone if it has one."""
-    if isinstance(name, str):
-        return f"{UNIX}{name}" if name else CALLER
-    host, port, zone = name[0], name[1], name[3] if len(name) == 4 else 0
-    if host.startswith("::ffff:") and "." in host:
-        # Of a socket for both families.
-        host = host.removeprefix("::ffff:")
-    if zone and "%" not in host:
-        try:
-            host = f"{host}%{socket.if_indextoname(zone)}"
-        except OSError:
-            host = f"{host}%{zone}"
-    return join_address(host, port)

@@ -13,11 +13,12 @@ from typing import TYPE_CHECKING
 from lfield.errors import AddressError, NobodyListens
 from lfield.loop import Simulated
 from lfield.net.datagrams.port import DatagramPort, Reader, Serving, beside
+from lfield.net.door import socket_address
 from lfield.net.paths.call import Call
 from lfield.net.paths.listener import PortListener, SocketListener
 from lfield.net.paths.reasons import refusal
-from lfield.net.stream import UNIX, StreamLink, TlsLink, nobody_known, socket_address
-from lfield.net.transport import split_address
+from lfield.net.stream import StreamLink, TlsLink, nobody_known
+from lfield.net.transport import UNIX, split_address
 from lfield.net.waiting.reception import Reception
 
 if TYPE_CHECKING:

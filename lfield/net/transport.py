@@ -24,6 +24,8 @@ if TYPE_CHECKING:
     from lfield.wire.framing import Buffer
     from lfield.wire.messages import Message, Role
 
+#: What the address of a Unix socket begins with; the path follows.
+UNIX = "unix:"
 #: The port of a host whose address gives none (chapter IV, figure 4.9).
 DEFAULT_PORT = 8181
 

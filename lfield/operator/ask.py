@@ -14,9 +14,8 @@ from typing import TYPE_CHECKING, Any, Generic, TypeVar, cast
 
 from lfield.authority import folder
 from lfield.errors import AddressError, KeysError, LfieldError, NobodyListens
-from lfield.net.stream import UNIX
 from lfield.net.tcp import TcpTransport
-from lfield.net.transport import Transport, is_number
+from lfield.net.transport import UNIX, Transport, is_number
 from lfield.operator.addressed import Party, Place
 from lfield.operator.observing import Brought, OrderMessage, Request, ask
 from lfield.operator.orders.known_hosts import KnownHosts

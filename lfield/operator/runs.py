@@ -37,7 +37,7 @@ from lfield.driver.binding import longest_rest
 from lfield.errors import OutputFileError
 from lfield.mission.mission import Mission
 from lfield.net.door import GROUP
-from lfield.net.stream import UNIX
+from lfield.net.transport import UNIX
 from lfield.operator.places import Base, Spot, bases, for_group, looked_into, spots, unseen
 from lfield.text.private import (
     let_read,

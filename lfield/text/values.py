@@ -33,10 +33,10 @@ def telemetry_in_words(values: Mapping[str, Shown | None], most: int = SHOWN) ->
 
 
 def duration_in_words(seconds: float) -> str:
-    """A short span of time: `0.35 ms`, `214 ms`, `1.2 s`."""
+    """A short span of time: `0.4 ms`, `214 ms`, `1.2 s`."""
     if seconds >= 1.0:
         return f"{seconds:.1f} s"
-    return f"{seconds * 1e3:.0f} ms" if seconds >= 0.01 else f"{seconds * 1e3:.2g} ms"
+    return f"{seconds * 1e3:.{0 if seconds >= 0.01 else 1}f} ms"
 
 
 def share_in_words(share: float) -> str:

@@ -6,6 +6,7 @@
 | REFUSE (2)   | a sentence in UTF-8                                                              |
 | CONTROL (4)  | checksum, msgpack of one of the `Control` messages                               |
 | TRANSFER (7) | checksum, that of the block, header length (2 bytes), msgpack of `Transfer`, block |
+| PART (8)     | the next bytes of one long CONTROL or TRANSFER frame, its own header included    |
 
 Numbers are big-endian. A checksum is the CRC-32 of what follows it, begun with the length of the payload
 instead of zero. That of a transfer ends before the block, which has its own, so that a header can be believed
@@ -13,6 +14,9 @@ whose block was never read. The block has an Adler-32, which costs a fifth of it
 flipped bit as well. A frame that does not fit its checksum is a WireError: the link is closed, and whatever
 was on its way is asked for again. The kinds differ by two bits at least: one bit that flips makes none of
 them another.
+
+A long frame may be sent as parts, so that an order to stop passes between two of them. Parts of one frame
+follow one another, and no part has bytes of two frames.
 
 HELLO's first six bytes and the whole of REFUSE stay as they are in every version to come, so that two
 hosts of different versions can tell each other what is wrong. A REFUSE needs no checksum: whatever its
@@ -31,7 +35,7 @@ from msgspec.structs import replace
 from lfield.errors import WireError
 from lfield.wire.coordinators import Transfer
 from lfield.wire.fields import MAX_TEXT
-from lfield.wire.framing import Buffer, FrameDecoder, frame, frame_header
+from lfield.wire.framing import HEADER_SIZE, Buffer, FrameDecoder, frame, frame_header
 from lfield.wire.messages import PROTOCOL, Control, ForeignHello, Hello, Message, Refuse, Role
 
 if TYPE_CHECKING:
@@ -39,7 +43,7 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 
-HELLO, REFUSE, CONTROL, TRANSFER = 1, 2, 4, 7
+HELLO, REFUSE, CONTROL, TRANSFER, PART = 1, 2, 4, 7, 8
 
 MAGIC = b"lfld"
 
@@ -55,6 +59,9 @@ _TRANSFER_START, _TRANSFER_CHECKED = struct.Struct(">IIH"), struct.Struct(">IH")
 GREETING_LIMITS = {HELLO: 1 << 18, REFUSE: 4 * MAX_TEXT}
 _OBSERVER_LIMITS = GREETING_LIMITS | {CONTROL: 8 * MAX_TEXT}
 _HOST_LIMITS = GREETING_LIMITS | {CONTROL: 1 << 20}
+#: The longest payload of a part, in bytes.
+MAX_PART = 1 << 17
+_PARTS = {PART: MAX_PART}
 
 _encode = msgspec.msgpack.Encoder().encode
 _hello: msgspec.msgpack.Decoder[Hello] = msgspec.msgpack.Decoder(Hello)
@@ -78,9 +85,19 @@ def frame_decoder(on_oversize: Callable[[Transfer, int], None]) -> FrameDecoder:
 
 def limits(role: Role, max_block: int) -> Mapping[int, int]:
     """What may come from a peer that has greeted; `max_block` is the largest block to take, in bytes."""
-    return (
-        _OBSERVER_LIMITS if role == "observer" else _HOST_LIMITS | {TRANSFER: max_block + MAX_TRANSFER_HEADER}
-    )
+    return part_limits(role, max_block) | _PARTS
+
+
+def part_limits(role: Role, max_block: int) -> dict[int, int]:
+    """What may come of it in parts."""
+    if role == "observer":
+        return _OBSERVER_LIMITS
+    return _HOST_LIMITS | {TRANSFER: max_block + MAX_TRANSFER_HEADER}
+
+
+def may_be_parted(frame: Buffer) -> bool:
+    """Whether a frame may be sent in parts: greetings and refusals are read before that is known."""
+    return frame[HEADER_SIZE - 1] in (CONTROL, TRANSFER)
 
 
 def encode(message: Message) -> bytes:

@@ -11,13 +11,13 @@ import pytest
 
 from lfield.connecting import STAGGER
 from lfield.errors import AddressError, NobodyListens
+from lfield.net.door import socket_address
 from lfield.net.local import insist_on_free, reserve
 from lfield.net.owner import Refusals
 from lfield.net.paths import listener as listeners
 from lfield.net.paths import names
 from lfield.net.paths.dialler import LAST_RETRY, NEWS_AFTER, Dialler
 from lfield.net.paths.names import MOST_LOOKUPS, Found, looked_up
-from lfield.net.stream import socket_address
 from lfield.net.tcp import TcpTransport
 from lfield.net.transport import is_lasting
 from lfield.simulate.time import LoopClock, run_jumping

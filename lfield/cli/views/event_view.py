@@ -14,12 +14,24 @@ import msgspec
 from lfield.operator.sight.listening import Notice
 from lfield.operator.sight.picture.loglines import Pieces, left_out, lines_of
 from lfield.operator.sight.timeline.timeline import Dated
+from lfield.text.values import bytes_in_words, duration_in_words, share_in_words
 from lfield.text.visible import in_one_line
-from lfield.wire.events import Came, Hopped, Left, Logged, Measured, Printed, Skipped, Stayed, as_fields
+from lfield.wire.events import (
+    Came,
+    Hopped,
+    Left,
+    Logged,
+    Measured,
+    Path,
+    Printed,
+    Skipped,
+    Stayed,
+    as_fields,
+)
 from lfield.wire.fields import Telemetry
 
-#: What a table can have of them: telemetry, a row for each number, and hops.
-IN_TABLES = ("measured", "left", "came", "hopped", "stayed")
+#: What a table can have of them: telemetry and figures of links, a row for each number, and hops.
+IN_TABLES = ("measured", "path", "left", "came", "hopped", "stayed")
 COLUMNS = (
     *("time", "within", "host", "number", "kind", "of", "quantity", "value"),
     *("generation", "sequence", "from", "to", "seconds", "size"),
@@ -30,11 +42,26 @@ def as_line(dated: Dated) -> str:
     """`12:34:56.789  alpha  #9  left  agent=boss ...`, in the local time of this computer."""
     told = as_fields(dated.event)
     words = [f"{name}={_word(value)}" for name, value in told.items() if name not in _HEAD]
+    if isinstance(dated.event.what, Path):
+        words = list(_measured(dated.event.what))
     caused = f"by={dated.cause.host}:{dated.cause.number}" if dated.cause is not None else ""
     number = f"#{told['number']}"
     return "  ".join(
         filter(None, (clock_time(dated), in_one_line(dated.host), number, told["kind"], *words, caused))
     )
+
+
+def _measured(path: Path) -> Iterator[str]:
+    """The figures of a link with their units; those that are not known are left out."""
+    yield f"peer={in_one_line(path.peer)}"
+    if path.round_trip is not None:
+        yield f"round_trip={duration_in_words(path.round_trip)}"
+    if path.loss is not None:
+        yield f"loss={share_in_words(path.loss)}"
+    if path.sent is not None:
+        yield f"sent={bytes_in_words(path.sent)}"
+    if path.received is not None:
+        yield f"received={bytes_in_words(path.received)}"
 
 
 _HEAD = ("number", "at", "up", "cause", "kind")
@@ -124,6 +151,11 @@ def _rows(dated: Dated) -> Iterator[tuple[object, ...]]:
             for name, value in values.items():
                 for quantity, each in _numbers(name, value):
                     yield (device, quantity, each, "", "", "", "", "", "")
+            return
+        case Path(peer) as path:
+            for quantity in ("round_trip", "loss", "sent", "received"):
+                if (value := getattr(path, quantity)) is not None:
+                    yield (peer, quantity, value, "", "", "", "", "", "")
             return
         case Left(agent, generation, sequence, to, _, _, size):
             hop = (generation, sequence, dated.host, to, "", size)

@@ -23,6 +23,9 @@ RTO_MAX_MS, LONGEST_TIMEOUT_MS = 44, 1_000
 #: The least retransmission time-out beyond the round trip, and the longest wait of an acknowledgement for a
 #: message to travel with, in microseconds, since Linux 6.15.
 RTO_MIN_US, DELACK_MAX_US = 45, 46
+#: So many bytes that it has not sent the kernel may have before it takes no more: an order to stop waits
+#: behind them.
+NOTSENT_LOWAT, MOST_NOT_SENT = 25, 4096
 LONGEST_ACK_DELAY_US = 5_000
 
 #: The margin of the retransmission time-out over the round trip, in seconds: half a round trip, within these
@@ -52,6 +55,7 @@ def set_options(made: Socket) -> None:
     for option, value in (
         (THIN_LINEAR_TIMEOUTS, 1),
         (RTO_MAX_MS, LONGEST_TIMEOUT_MS),
+        (NOTSENT_LOWAT, MOST_NOT_SENT),
         (DELACK_MAX_US, LONGEST_ACK_DELAY_US),
     ):
         with suppress(OSError):

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 
 from lfield.connecting import first_connected
 from lfield.errors import AddressError, LfieldError
+from lfield.net.door import socket_address
 from lfield.net.paths.names import Found, looked_up
 from lfield.net.paths.reasons import refusal
-from lfield.net.stream import socket_address
 from lfield.net.transport import is_number, split_address
 
 if TYPE_CHECKING:

@@ -11,9 +11,9 @@ from typing import Protocol
 
 from lfield.errors import AddressError
 from lfield.loop import spawn
+from lfield.net.door import socket_address
 from lfield.net.paths.names import Found, looked_up
 from lfield.net.paths.reasons import refusal
-from lfield.net.stream import socket_address
 from lfield.net.transport import is_lasting, split_address
 
 #: A name, or an address of an interface that may come back as another, is looked at every so many seconds.

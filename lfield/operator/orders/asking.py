@@ -41,6 +41,8 @@ from lfield.wire.orders import (
 RELAY_AFTER, RELAYS = 2, 2
 #: A host gets an order signed anew at most so often.
 MOST_SIGNED = 8
+#: A confirmation within so many seconds is taken for a measurement of the round trip, where there is none.
+PROMPT = 0.5
 #: What stands beside the hosts in a datagram at most, in bytes: reason, signature, id and framing.
 _BESIDE = 320
 
@@ -67,9 +69,9 @@ class _Host:
     named: bytes
     known: Known | None = None
     certificate: bytes = b""
-    #: Whether it has answered this order itself, and whether it is executing it.
+    #: Whether it has answered this order itself, and how often it has said that it is executing it.
     has_answered: bool = False
-    is_received: bool = False
+    receipts: int = 0
     #: How many datagrams were sent, how many of those since the latest answer, and when each was.
     attempts: int = 0
     unanswered: int = 0
@@ -121,7 +123,7 @@ class Asking:
     def received(self) -> frozenset[str]:
         """The hosts that are executing the order, or have executed it."""
         done = (name for name, host in self._hosts.items() if isinstance(host.result, Confirmed))
-        return frozenset((*done, *(name for name, host in self._hosts.items() if host.is_received)))
+        return frozenset((*done, *(name for name, host in self._hosts.items() if host.receipts)))
 
     @property
     def epochs(self) -> dict[str, Epochs]:
@@ -198,8 +200,10 @@ class Asking:
         if host is None or host.due is None or host.certificate or request.signer != self._signer.digest:
             return
         self._measure(host, request.attempt, now)
-        host.certificate = self._signer.certificate
-        if host.named == UNKNOWN:
+        host.certificate, host.unanswered = self._signer.certificate, 0
+        told = request.epochs.of(self.kind)
+        # A host that was started again knows neither its earlier epochs nor any certificate.
+        if host.named == UNKNOWN or (self.kind in HOLDS and told != host.named):
             self._sign_again(request.host, host, request.epochs)
         self._send(request.host, now)
 
@@ -207,7 +211,7 @@ class Asking:
         """Some host has another certificate than the one that was kept of it: ask for it, once."""
         for name, host in self._hosts.items():
             if host.due is not None and host.known is not None and not host.has_answered:
-                host.known = None
+                host.known, host.unanswered = None, 0
                 self._send(name, now)
 
     def _answered(self, answer: Answer, known: Known, now: float) -> None:
@@ -217,14 +221,18 @@ class Asking:
             return
         self._certificates.add(known)
         host.known, host.has_answered, host.unanswered = known, True, 0
+        sent = host.sent.get(answer.attempt)
         if not isinstance(answer, Confirmed):
+            self._measure(host, answer.attempt, now)
+        elif host.trip.smoothed is None and sent is not None and now - sent <= PROMPT:
+            # The devices took a part of it, but it is better than no measurement.
             self._measure(host, answer.attempt, now)
         if not isinstance(answer, Denied):
             host.epochs = answer.epochs
         match answer:
             case Received():
-                if not host.is_received:
-                    host.is_received = True
+                host.receipts += 1
+                if host.receipts == 1:
                     self._plan(host, now)
             case Challenge():
                 self._challenged(name, host, answer.epochs, now)
@@ -248,8 +256,13 @@ class Asking:
 
     def _measure(self, host: _Host, attempt: int, now: float) -> None:
         sent = host.sent.pop(attempt, None)
-        if sent is not None:
-            host.trip.add(now - sent)
+        if sent is None:
+            return
+        host.trip.add(now - sent)
+        # Hosts that have answered nothing yet were waited for without any measurement.
+        for other in self._hosts.values():
+            if other.due is not None and other.trip.smoothed is None and other.sent:
+                other.due = min(other.due, max(other.sent.values()) + self._pause(other))
 
     # --- sending --------------------------------------------------------------------------------------
 
@@ -284,8 +297,10 @@ class Asking:
             host.due = None
 
     def _plan(self, host: _Host, now: float) -> None:
+        host.due = now + self._pause(host) * min(EXECUTING, max(1, host.receipts))
+
+    def _pause(self, host: _Host) -> float:
         waiting = [one for one in self._hosts.values() if one.result is None]
         size = sum(len(one.signed.order) + len(one.certificate) + 100 for one in waiting)
         others = {name: one.trip for name, one in self._hosts.items()}
-        pause = interval(host.trip, others, max(0, host.unanswered - 1), size)
-        host.due = now + pause * (EXECUTING if host.is_received else 1.0)
+        return interval(host.trip, others, max(0, host.unanswered - 1), size)

@@ -7,12 +7,18 @@ from collections.abc import Mapping
 #: Before any round trip is measured, the shortest interval in seconds, and the rate in bytes/s that all hosts
 #: together are sent: half of a radio of 57.6 kbit/s, whose other half is for the answers.
 FIRST, RATE = 0.1, 3600.0
-#: The shortest and the longest interval, in seconds, and by what each further one is longer.
-SHORTEST, LONGEST, BACKOFF = 0.04, 1.0, 1.5
+#: The shortest and the longest interval, in seconds. So many are alike, since radio loses at random; by this
+#: factor each further one is longer.
+SHORTEST, LONGEST, ALIKE, BACKOFF = 0.04, 1.0, 4, 1.5
+#: How much the round trip may vary is not known after one measurement: this part of it.
+FIRST_VARIATION = 0.25
 #: A variation of the round trip of less than so many seconds is taken for so many.
 LEAST_VARIATION = 0.01
-#: What is received but not confirmed is asked for after so many intervals.
-EXECUTING = 2.0
+#: An answer is missed after the round trip and so many variations of it.
+VARIATIONS = 2.0
+#: What is received but not confirmed is asked for after one interval, then two, up to so many, since devices
+#: may take seconds.
+EXECUTING = 4
 
 
 class RoundTrip:
@@ -20,12 +26,12 @@ class RoundTrip:
 
     def __init__(self, measured: float | None = None) -> None:
         self.smoothed = measured
-        self._variation = (measured or 0.0) / 2.0
+        self._variation = (measured or 0.0) * FIRST_VARIATION
 
     def add(self, sample: float) -> None:
         """A datagram was answered after so many seconds."""
         if self.smoothed is None:
-            self.smoothed, self._variation = sample, sample / 2.0
+            self.smoothed, self._variation = sample, sample * FIRST_VARIATION
             return
         self._variation = 0.75 * self._variation + 0.25 * abs(self.smoothed - sample)
         self.smoothed = 0.875 * self.smoothed + 0.125 * sample
@@ -35,7 +41,7 @@ class RoundTrip:
         """After so many seconds an answer is missed; None while nothing is measured."""
         if self.smoothed is None:
             return None
-        late = self.smoothed + max(4.0 * self._variation, LEAST_VARIATION)
+        late = self.smoothed + max(VARIATIONS * self._variation, LEAST_VARIATION)
         return min(max(late, SHORTEST), LONGEST)
 
 
@@ -49,4 +55,4 @@ def interval(trip: RoundTrip, others: Mapping[str, RoundTrip], repeats: int, siz
     if measured is None:
         known = [late for other in others.values() if (late := other.time_out) is not None]
         measured = max(known) if known else max(FIRST, size / RATE)
-    return min(measured * BACKOFF**repeats, max(LONGEST, measured))
+    return min(measured * BACKOFF ** max(0, repeats - ALIKE), max(LONGEST, measured))

@@ -16,8 +16,7 @@ from lfield.errors import LfieldError, ProgramError
 from lfield.mission.access.rules import UNWRITTEN, Access
 from lfield.mission.team import Team
 from lfield.net.door import oneself
-from lfield.net.stream import UNIX
-from lfield.net.transport import Transport
+from lfield.net.transport import UNIX, Transport
 from lfield.operator.ask import Answers, Standing, ask_all, emergency_stop, patiently, pause, silent
 from lfield.operator.observing import Brought, Request
 from lfield.operator.orders.desk import Desk

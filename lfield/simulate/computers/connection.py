@@ -18,6 +18,9 @@ from typing import Any
 from lfield.simulate.computers.loop import ProcessLoop
 from lfield.simulate.computers.machines import Way, Ways
 
+#: So many bytes the kernels at both ends take before a transport keeps any.
+KERNEL = 1 << 20
+
 #: A host's address and a port.
 Address = tuple[str, int]
 
@@ -89,6 +92,7 @@ class End(asyncio.Transport):
         #: What this end has sent and the other has not got: bytes; None for the end, an error for a reset.
         self._waiting: deque[bytes | Exception | None] = deque()
         self._pending = 0
+        self._is_full = False
         self._due = 0.0
         self._early: list[Callable[[], None]] = []
         #: What has come while nobody wants to read, or None when somebody does.
@@ -114,7 +118,8 @@ class End(asyncio.Transport):
         if self._closing or self.over:
             return
         self._send(bytes(data))
-        if self._pending > self._high and self._protocol is not None:
+        if self._pending > KERNEL + self._high and self._protocol is not None and not self._is_full:
+            self._is_full = True
             self._protocol.pause_writing()
 
     def close(self) -> None:
@@ -185,6 +190,9 @@ class End(asyncio.Transport):
         what = self._waiting.popleft()
         if isinstance(what, bytes):
             self._pending -= len(what)
+            if self._is_full and self._pending <= KERNEL and self._protocol is not None:
+                self._is_full = False
+                self.loop.call_soon(self._protocol.resume_writing)
         other = self.other
         if other.over or other._closing:
             if isinstance(what, bytes):

@@ -10,7 +10,19 @@ import pytest
 from lfield.cli.views.event_view import COLUMNS, Csv, LogView, as_json, as_line
 from lfield.operator.sight.listening import Notice
 from lfield.operator.sight.timeline.timeline import Cause, Dated
-from lfield.wire.events import Came, Event, Hopped, Latched, Left, Logged, Measured, Printed, Skipped, Stayed
+from lfield.wire.events import (
+    Came,
+    Event,
+    Hopped,
+    Latched,
+    Left,
+    Logged,
+    Measured,
+    Path,
+    Printed,
+    Skipped,
+    Stayed,
+)
 
 
 def dated(what: object, **more: object) -> Dated:
@@ -59,6 +71,21 @@ def test_what_was_lost_is_an_object_too() -> None:
 
 
 @pytest.mark.parametrize(
+    ("path", "words"),
+    [
+        (
+            Path("beta", 0.2143, 0.048, 12_345, 1_400_000),
+            "round_trip=214 ms loss=4.8 % sent=12.3 kB received=1.4 MB",
+        ),
+        (Path("beta", 0.0021, None, None, 9), "round_trip=2.1 ms received=9 B"),
+        (Path("beta", 1.25, 0.0, 0, None), "round_trip=1.2 s loss=0.0 % sent=0 B"),
+    ],
+)
+def test_the_figures_of_a_link_have_units_in_a_line(path: Path, words: str) -> None:
+    assert " ".join(as_line(dated(path)).split()[3:]) == f"path peer=beta {words} by=beta:2"
+
+
+@pytest.mark.parametrize(
     ("what", "rows"),
     [
         (Left("boss", 1, 4, "beta", "two", "lift", 900), ["boss,,,1,4,alpha,beta,,900"]),
@@ -74,6 +101,10 @@ def test_what_was_lost_is_an_object_too() -> None:
                 "one.fc,position[0],1.0,,,,,,",
                 "one.fc,position[1],2.5,,,,,,",
             ],
+        ),
+        (
+            Path("beta", 0.25, None, 10, 20),
+            ["beta,round_trip,0.25,,,,,,", "beta,sent,10,,,,,,", "beta,received,20,,,,,,"],
         ),
         (Latched("one.fc", "land", "x"), []),
     ],

@@ -1,0 +1,83 @@
+"""A path between two hosts is silent for a while: what becomes of the link, and how soon they talk again."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from lfield.mission.load import load_mission
+from lfield.net.health.heartbeats import LOST_AFTER, PING_EVERY, SUSPECT_AFTER
+from lfield.simulate.fleet import Fleet
+
+PROGRAM = "resource Post { init(string[] arg) { } }\n"
+HOSTS = ("alpha", "bravo")
+ENDS = (HOSTS, HOSTS[::-1])
+
+
+def fleet_of(folder: Path, seed: int) -> Fleet:
+    (folder / "mission.L").write_text(PROGRAM)
+    (folder / "mission.dL").write_text("".join(f"//Post:{host}s@{host}\n" for host in HOSTS))
+    fleet = Fleet(load_mission(folder / "mission.dL"), seed)
+    fleet.run(20.0)
+    assert linked(fleet) == [True, True]
+    return fleet
+
+
+def linked(fleet: Fleet) -> list[bool]:
+    return [other in fleet.lives[host].host.peers.incarnations for host, other in ENDS]
+
+
+def links(fleet: Fleet) -> list[object]:
+    return [fleet.lives[host].host.peers.link_of(other) for host, other in ENDS]
+
+
+def silences(fleet: Fleet) -> list[float]:
+    """For how long each has not heard the other, by its own clock."""
+    both = [(fleet.lives[host].host.peers, other) for host, other in ENDS]
+    return [peers.now() - (peers.last_heard(other) or 0.0) for peers, other in both]
+
+
+def silence(fleet: Fleet, seconds: float) -> None:
+    """Nothing comes through, and nobody is told."""
+    fleet.network.silence(*HOSTS)
+    fleet.network.silence(*HOSTS[::-1])
+    fleet.run(seconds)
+
+
+def until_heard(fleet: Fleet) -> float:
+    """How long after the return of the path both hear each other again."""
+    back = fleet.now
+    fleet.heal(*HOSTS)
+    while not all(linked(fleet)) or max(silences(fleet)) > fleet.now - back:
+        fleet.run(0.05)
+        assert fleet.now < back + 20.0
+    return fleet.now - back
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seconds", [1.0, 5.0, 15.0, 30.0])
+def test_traffic_continues_within_a_second_of_the_return_of_the_path(tmp_path, seconds, seed):
+    fleet = fleet_of(tmp_path, seed)
+    silence(fleet, seconds)
+    assert until_heard(fleet) <= 1.2
+    fleet.run(30.0)
+    assert linked(fleet) == [True, True]
+
+
+def test_a_link_that_wakes_up_before_it_is_given_up_stays(tmp_path):
+    fleet = fleet_of(tmp_path, 1)
+    before = links(fleet)
+    silence(fleet, SUSPECT_AFTER + 0.5)
+    assert linked(fleet) == [True, True]
+    until_heard(fleet)
+    fleet.run(30.0)
+    assert links(fleet) == before
+
+
+def test_a_silent_link_is_given_up_on_a_calm_path_as_soon_as_ever(tmp_path):
+    fleet = fleet_of(tmp_path, 1)
+    silence(fleet, LOST_AFTER - 1.5 * PING_EVERY)
+    assert linked(fleet) == [True, True]
+    fleet.run(2.5 * PING_EVERY + 0.1)
+    assert linked(fleet) == [False, False]

@@ -1,0 +1,231 @@
+"""What a link has to send: orders to stop pass between the parts of long frames, all else keeps its order."""
+
+from __future__ import annotations
+
+import asyncio
+import random
+import socket
+
+import pytest
+
+from lfield.authority.identity import STRANGER
+from lfield.errors import WireError
+from lfield.net.framed import FramedLink
+from lfield.net.stream import StreamLink
+from lfield.net.waiting.reception import Reception
+from lfield.net.waiting.sending import FIRST_PART, LEAST_PART, MOST_PART, Sending
+from lfield.testing.transport_kit import Recorder, transfer
+from lfield.wire.codec import CONTROL, HELLO, PART, encode
+from lfield.wire.framing import frame
+from lfield.wire.messages import Ping, Room
+from lfield.wire.observing import EmergencyStop, EmergencyStopped
+
+STOP = EmergencyStop(bytes(16), "fire")
+
+
+class NoSocket:
+    """Takes every option."""
+
+    family = socket.AF_INET
+
+    def setsockopt(self, level, option, value) -> None:
+        pass
+
+
+class Slow(asyncio.Transport):
+    """A connection that takes `room` bytes, then nothing until `drain`."""
+
+    def __init__(self, room: int) -> None:
+        super().__init__()
+        self.room, self.left, self.said = room, room, []
+        self.is_over = False
+
+    def link(self, max_pending: int = 1 << 24) -> StreamLink:
+        made = StreamLink(
+            1 << 23, max_pending, lambda link: Recorder(), Reception(), lambda at: STRANGER, calls=True
+        )
+        self._link = made
+        made.connection_made(self)
+        made.greeted("host")
+        return made
+
+    def write(self, data) -> None:
+        self.said.append(bytes(data))
+        full = self.left <= 0
+        self.left -= len(data)
+        if self.left <= 0 and not full:
+            self._link.pause_writing()
+
+    def drain(self) -> None:
+        self.left = self.room
+        self._link.resume_writing()
+
+    def get_extra_info(self, name, default=None):
+        if name == "socket":
+            return NoSocket()
+        return ("10.0.0.1", 6000) if name == "peername" else default
+
+    def set_write_buffer_limits(self, high=None, low=None) -> None:
+        pass
+
+    def is_closing(self) -> bool:
+        return self.is_over
+
+    def abort(self) -> None:
+        self.is_over = True
+
+    def close(self) -> None:
+        self.is_over = True
+
+    def get_write_buffer_size(self) -> int:
+        return 0
+
+
+class Far(FramedLink):
+    """The other end."""
+
+    def __init__(self) -> None:
+        super().__init__("near", 1 << 23)
+        self.handler = Recorder()
+        self.greeted("host")
+
+    def close(self) -> None:
+        self.closed = True
+
+
+def heard(said) -> list[object]:
+    far = Far()
+    for data in said:
+        far.received(data)
+    assert far._error is None
+    return far.handler.heard
+
+
+def in_loop(story) -> None:
+    async def main():
+        story()
+
+    asyncio.run(main())
+
+
+def test_a_stop_passes_between_two_parts_of_a_block():
+    def story():
+        slow = Slow(8 << 10)
+        link = slow.link()
+        block = random.Random(1).randbytes(1 << 20)
+        link.send_transfer(transfer(len(block)), block)
+        link.send(Room("behind"))
+        link._flush()
+        written = sum(map(len, slow.said))
+        assert written < 64 << 10
+        link.send(STOP)
+        assert slow.said[-1] == encode(STOP)
+        while slow._link._sending.is_busy:
+            slow.drain()
+        assert heard(slow.said) == [STOP, (transfer(len(block)), block), Room("behind")]
+
+    in_loop(story)
+
+
+def test_answers_to_stops_and_heartbeats_precede_what_observers_are_told():
+    def story():
+        slow = Slow(1 << 10)
+        link = slow.link()
+        told = [Room(f"{n}" * 400) for n in range(10)]
+        for message in told:
+            link.send(message)
+            link._flush()
+        answer = EmergencyStopped({"fc": ""}, "", bytes(16))
+        link.send(answer)
+        link.send(Ping(7))
+        while slow._link._sending.is_busy:
+            slow.drain()
+        found = heard(slow.said)
+        assert [message for message in found if isinstance(message, Room)] == told
+        assert found.index(answer) <= 4
+        assert found.index(Ping(7)) == found.index(answer) + 1
+
+    in_loop(story)
+
+
+def test_nothing_passes_what_was_sent_in_the_same_turn_before_it():
+    def story():
+        slow = Slow(1 << 20)
+        link = slow.link()
+        link.send(Room("first"))
+        link.send(STOP)
+        link._flush()
+        assert heard(slow.said) == [Room("first"), STOP]
+
+    in_loop(story)
+
+
+def test_whoever_does_not_read_is_closed_when_too_much_waits():
+    def story():
+        slow = Slow(1 << 10)
+        link = slow.link(max_pending=1 << 16)
+        for _ in range(200):
+            link.send(Room("x" * 1000))
+            link._flush()
+            if link.closed:
+                break
+        assert link.closed
+        assert isinstance(link._error, WireError)
+        assert sum(map(len, slow.said)) < 4 << 10
+
+    in_loop(story)
+
+
+def test_what_waits_is_sent_before_a_link_is_closed():
+    def story():
+        slow = Slow(1 << 10)
+        link = slow.link()
+        block = bytes(100_000)
+        link.send_transfer(transfer(len(block)), block)
+        link.close()
+        assert heard(slow.said) == [(transfer(len(block)), block)]
+
+    in_loop(story)
+
+
+def test_parts_are_short_on_a_slow_connection_and_long_on_a_fast_one():
+    slow, now = Sending(), 0.0
+    slow.add(frame(CONTROL, bytes(1 << 20)))
+    lengths = []
+    for _ in range(12):
+        lengths.append(len(slow.next()))
+        slow.full(now)
+        now += lengths[-1] / 7200.0
+        slow.free(now)
+    assert slow.part == LEAST_PART
+    assert lengths[-1] <= LEAST_PART + 5
+    fast = Sending()
+    fast.add(frame(CONTROL, bytes(1 << 20)))
+    for _ in range(12):
+        fast.next()
+        fast.taken()
+    assert fast.part == MOST_PART
+
+
+def test_a_greeting_is_never_sent_in_parts():
+    sending = Sending()
+    hello = frame(HELLO, bytes(4 * FIRST_PART))
+    sending.add(hello)
+    assert sending.next() == hello
+    assert not sending.is_busy
+
+
+@pytest.mark.parametrize(
+    "bad",
+    [
+        frame(PART, encode(Room("a")) + encode(Room("b"))),
+        frame(PART, frame(PART, encode(Room("a")))),
+        frame(PART, encode(Room("a"))[:9]) + frame(PART, encode(Room("a"))[9:] + b"x"),
+        frame(PART, bytes(1 << 18)),
+    ],
+)
+def test_parts_that_are_no_part_of_one_frame_close_the_link(bad):
+    far = Far()
+    far.received(bad)
+    assert far.closed
+    assert isinstance(far._error, WireError)
