@@ -147,7 +147,10 @@ def test_a_host_that_is_killed_and_started_again_is_told_and_followed_on(lfield)
     ("words", "told"),
     [
         (["--kinds", "cane"], "there are no events of kind 'cane' here"),
-        (["--csv", "--kinds", "latched"], "there are no events of kind 'latched' here, but measured, left"),
+        (
+            ["--csv", "--kinds", "latched"],
+            "there are no events of kind 'latched' here, but measured, path, left",
+        ),
         (["--host", "gamma"], "there is no host 'gamma': there is alpha and beta"),
         (["--since", "-1"], "--since"),
         (["--rate", "50"], "telemetry is told from 0 to 20 times a second"),
