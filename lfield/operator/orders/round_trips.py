@@ -16,8 +16,7 @@ FIRST_VARIATION = 0.25
 LEAST_VARIATION = 0.01
 #: An answer is missed after the round trip and so many variations of it.
 VARIATIONS = 2.0
-#: What is received but not confirmed is asked for after one interval, then two, up to so many, since devices
-#: may take seconds.
+#: What is received but not confirmed is asked for after one interval, then two, up to so many.
 EXECUTING = 4
 
 
