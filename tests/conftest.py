@@ -94,8 +94,17 @@ FOREIGN = {
 }
 
 
+def on_radio(report: pytest.TestReport) -> bool:
+    """Whether it is of a test that needs what few computers offer (tests/radio)."""
+    return report.nodeid.startswith("tests/radio/")
+
+
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
-    """With -s: of others' clients and devices, how many uses were tried and how many passed."""
+    """Why the emulated radio was not tried; with -s also how many uses of others' software were tried."""
+    for why in sorted(
+        {skip.longrepr[2] for skip in terminalreporter.stats.get("skipped", []) if on_radio(skip)}
+    ):
+        terminalreporter.write_line(f"NOT TRIED: {why.removeprefix('Skipped: ')}")
     if terminalreporter.config.option.capture != "no":
         return
     for file, client in FOREIGN.items():

@@ -27,7 +27,8 @@ class Profile:
     `guided` is the mode for our setpoints, `arming` the one to be armed in. `hold`, `land` and `home` are the
     safe states. `own` are modes that it enters by itself on the ground when it has done what we asked, so
     they are nobody else's doing. `retreats` are modes that its failsafes may choose beside those of the safe
-    states; in `autonomous` ones it moves by itself, whatever comes from here.
+    states; in `autonomous` ones it moves by itself, whatever comes from here. `piloted` ones are a pilot's:
+    the failsafe for the ground station does not act in them.
     """
 
     autopilot: int
@@ -43,6 +44,7 @@ class Profile:
     retreats: frozenset[str] = frozenset()
     flies: bool = True
     autonomous: frozenset[str] = frozenset()
+    piloted: frozenset[str] = frozenset()
 
     @property
     def by_trajectory(self) -> bool:
@@ -127,6 +129,26 @@ _COPTER_MODES = {
     27: "AUTO_RTL",
     28: "TURTLE",
 }
+#: With bit 4 of FS_OPTIONS, the default, its failsafe leaves these to a pilot (ArduCopter 4.7,
+#: Mode::is_autopilot).
+_COPTER_PILOTED = frozenset(
+    {
+        "STABILIZE",
+        "ACRO",
+        "ALT_HOLD",
+        "LOITER",
+        "DRIFT",
+        "SPORT",
+        "FLIP",
+        "AUTOTUNE",
+        "POSHOLD",
+        "BRAKE",
+        "FLOWHOLD",
+        "SYSTEMID",
+        "AUTOROTATE",
+        "TURTLE",
+    }
+)
 _ROVER_MODES = {
     0: "MANUAL",
     1: "ACRO",
@@ -268,15 +290,19 @@ def _of_ardupilot(
     *,
     retreats: frozenset[str] = frozenset(),
     flies: bool = True,
+    piloted: frozenset[str] = frozenset(),
 ) -> Profile:
     return Profile(
-        ARDUPILOT, kind, types, modes, "GUIDED", "GUIDED", hold, land, home, retreats=retreats, flies=flies
-    )
+        ARDUPILOT, kind, types, modes, "GUIDED", "GUIDED", hold, land, home, retreats=retreats, flies=flies,
+        piloted=piloted,
+    )  # fmt: skip
 
 
 _ALL = (
     # BRAKE and not LOITER: LOITER follows the sticks, and without a radio control there are none.
-    _of_ardupilot("copter", _COPTERS, _COPTER_MODES, "BRAKE", "LAND", "RTL", retreats=_RETURNS),
+    _of_ardupilot(
+        "copter", _COPTERS, _COPTER_MODES, "BRAKE", "LAND", "RTL", retreats=_RETURNS, piloted=_COPTER_PILOTED
+    ),
     # A rover has no landing: it stops.
     _of_ardupilot("rover", _ROVERS, _ROVER_MODES, "HOLD", "HOLD", "RTL", retreats=_RETURNS, flies=False),
     # A plane cannot land without a runway: it returns and circles.

@@ -28,7 +28,6 @@ from lfield.host.team.commands import Commands
 from lfield.host.team.coordinators import Coordinators
 from lfield.host.team.leases import Leases
 from lfield.host.team.policy import Policies
-from lfield.host.team.relays import Relays
 from lfield.host.team.reserving import Reserving
 from lfield.host.team.world import HostWorld
 from lfield.journal.pages import Key, Page
@@ -39,6 +38,7 @@ from lfield.mobility.core import MobilityMessage
 from lfield.mobility.fates import Fate
 from lfield.mobility.hearsay import Hearsay
 from lfield.mobility.neighbours import Neighbourhood
+from lfield.mobility.relays import Relays
 from lfield.vm.agent import Agent
 from lfield.vm.contract import Engines
 from lfield.vm.machine import Machine
@@ -95,7 +95,7 @@ class HostCore:
         self.orders = Executed(draw or dice.randbytes, Executed.kept(pages))
         own = self._hello([])
         self._hops = hops = Hops(teller, machine, name, self.team)
-        self._relays = relays = Relays(self.team.hosts, name, incarnation, clock, self._out)
+        self._relays = relays = Relays[Effect](self.team.hosts, name, incarnation, clock, self._out)
         self.coordinators = team = Coordinators(
             mission, own, machine, clock, relays.send, unreachable_after, pages, times or {}, hops
         )
@@ -104,27 +104,24 @@ class HostCore:
         team.barred, self.mobility = leases.quorum.fences.bars, team.mobility
         self._begun = BegunPages(own.mission, team, leases, machine, clock, pages, keeps=bool(memory))
         self.hearsay = Hearsay(self.team.hosts, self.here, incarnation, clock.monotonic(), neighbours)
-        relays.join(self.hearsay, team)
+        relays.join(self.hearsay, team.mobility, team.carry_out)
         self.reserving = Reserving(
             mission, own, team, leases, machine, clock, self._out, self.hearsay.is_linked, pages
         )
         self.directory.reserved = self.reserving.by
         self._inits, self._policies = Inits(machine.opening, self._say), Policies(mission.devices_of(name))
         self.commands = Commands(machine, nearby, leases, self._policies, clock, self._out, teller)
-        self._absent = absent = Absent(
-            nearby, self.hearsay, clock, unreachable_after, self.mobility, self._out
-        )
-        machine.attached.signs = SignsOfLife(absent, self.team.hosts)
-        parts = self._begun, self.reserving, self.commands, Offers(self.directory, mission), absent
-        self.world.join(team, leases, *parts)
+        self._absent = Absent(nearby, self.hearsay, clock, unreachable_after, self.mobility, self._out)
+        machine.attached.signs = SignsOfLife(self._absent, self.team.hosts)
+        offers = Offers(self.directory, mission)
+        self.world.join(team, leases, self._begun, self.reserving, self.commands, offers, self._absent)
+        #: When the coordinators of this host begin, and what a new start of them waits for.
         self.startup = startup = Beginning(
             mission, name, team, leases, clock, self._out, nearby, self.hearsay, teller, kept=bool(memory)
         )
         self._timed: list[Timed] = [team, relays, self.directory, self.hearsay, self._policies, self._inits]
         self._timed += [startup, leases] if leases.fenced else [startup]
         self._timed += [self.reserving] if self._reserves else []
-
-    # --- out ------------------------------------------------------------------------------------------
 
     def take(self) -> list[Effect]:
         """What is to be done, in this order; each effect is given once."""
@@ -165,8 +162,6 @@ class HostCore:
             built=self.mission.release.digest if self.mission.release.of_files else b"",
             epochs=self.orders.epochs,
         )
-
-    # --- time -----------------------------------------------------------------------------------------
 
     def run(self) -> float | None:
         """Do what is due and let the machine run; to be called after every event, and when its time is up.
@@ -255,9 +250,8 @@ class HostCore:
             return self._inits.waits(agent)
         if self.leases.is_waiting(agent):
             return "waits for a majority"
-        return self.reserving.waits(agent) or words.waits(
-            self.coordinators, self.machine, self.team.hosts, agent
-        )
+        reserves = self.reserving.waits(agent)
+        return reserves or words.waits(self.coordinators, self.machine, self.team.hosts, agent)
 
     def not_kept(self, why: str) -> None:
         """The disk takes nothing: what waits for it goes on waiting, and is tried again."""
@@ -363,7 +357,8 @@ class HostCore:
     def arrived(self, host: str, header: Transfer, block: memoryview) -> None:
         """A coordinator came: it runs before its sender gets an answer."""
         self._hops.arrives(host, header)
-        self.coordinators.arrived(host, header, block, self._absent.transit(host))
+        transit = self._absent.transit(host) if self.machine.program.has_limits else 0.0
+        self.coordinators.arrived(host, header, block, transit)
 
     def too_large(self, host: str, header: Transfer, size: int) -> None:
         """A coordinator came whose block was not even read."""

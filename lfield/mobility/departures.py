@@ -111,7 +111,7 @@ class Departures:
         Any host may know that it has gone on.
         """
         copy = self._under_way(message)
-        return [] if copy is None else self.moved(copy)
+        return [] if copy is None else self.moved(copy, message.held)
 
     def refused(self, host: str, message: Refused, now: float) -> list[Effect]:
         """The receiver has it not, and never will under this number."""
@@ -144,10 +144,10 @@ class Departures:
         arrived = known.sequence == copy.sequence and known.state in ("RUN", "FROZEN")
         return self.moved(copy) if arrived or known.sequence > copy.sequence else []
 
-    def moved(self, copy: Copy) -> list[Effect]:
+    def moved(self, copy: Copy, held: float = 0.0) -> list[Effect]:
         """The copy lives elsewhere; the block stays as its shadow."""
         copy.state, copy.seal, copy.doubt, copy.restored = "MOVED", None, "", False
-        departed = Departed(copy.agent, copy.generation, copy.sequence, copy.target)
+        departed = Departed(copy.agent, copy.generation, copy.sequence, copy.target, held)
         return [departed, *self._copies.keep_soon(copy)]
 
     def give_up(self, copy: Copy) -> bool:

@@ -56,12 +56,16 @@ class Go(Struct, frozen=True):
 
 
 class Departed(Struct, frozen=True):
-    """The coordinator lives elsewhere now; what is left here is its shadow."""
+    """The coordinator lives elsewhere now; what is left here is its shadow.
+
+    An answer that says so was `held` back for so many seconds.
+    """
 
     agent: str
     generation: int
     sequence: int
     host: str
+    held: float = 0.0
 
 
 class Resume(Struct, frozen=True):

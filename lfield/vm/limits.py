@@ -106,9 +106,9 @@ class TimeLimits:
 
         One that would arrive there after its time is over stays, and waits for the end of its time.
         """
-        signs, left = self._scheduler.attached.signs, self.nearest(agent)
-        transit = 0.0 if signs is None or left is None else signs.transit(resource)
-        if left is None or transit < left:
+        signs, has_limits = self._scheduler.attached.signs, self._scheduler.program.has_limits
+        left = self.nearest(agent) if has_limits and signs is not None else None
+        if left is None or signs is None or (transit := signs.transit(resource)) < left:
             self._scheduler.world.depart(agent, resource)
             return
         agent.too_far = f": the way to {self._scheduler.world.host_of(resource)} takes {transit:.1f} s"

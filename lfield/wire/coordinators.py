@@ -6,7 +6,7 @@ from typing import Literal
 
 from msgspec import Struct
 
-from lfield.wire.fields import Count, Hash, MaybeName, Name, Ordinal, Text
+from lfield.wire.fields import Age, Count, Hash, MaybeName, Name, Ordinal, Text
 
 #: Where a host's copy of a coordinator stands; see `lfield/docs/mobility.md`. PARKED: it is kept for another
 #: program or deployment, and goes on when that is started.
@@ -67,11 +67,15 @@ class Transfer(Struct, frozen=True, array_like=True, forbid_unknown_fields=True)
 
 
 class Accepted(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=1):
-    """The transfer was injected, or its coordinator is known to have gone on since."""
+    """The transfer was injected, or its coordinator is known to have gone on since.
+
+    The answer was `held` back for so many seconds, since the coordinator might have brought it.
+    """
 
     agent: Name
     generation: Ordinal
     sequence: Ordinal
+    held: Age = 0.0
 
 
 class Refused(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=2):

@@ -36,6 +36,7 @@ EXCEPTIONS: dict[str, dict[str, str]] = {
         ".venv/bin/pytest tests/vm/test_hop.py": SUITE,
         '.venv/bin/pytest -k "hostile" tests/vm': SUITE,
         "make bench ONLY=hop": SUITE,
+        "make bench ONLY=radio ROUNDS=100": SUITE,
         "make fuzz COUNT=1000": SUITE,
         "make fuzz-decoders COUNT=10000": SUITE,
         "make simulate SEEDS=10000": SUITE,

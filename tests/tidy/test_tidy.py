@@ -45,7 +45,6 @@ SMALL = {
     "lfield/net/paths/reasons.py": "what errors of sockets mean, a table",
     "lfield/net/waiting/bars.py": "the back-off of a member that sent too much",
     "lfield/net/control.py": "the door of a fake, from outside",
-    "lfield/net/guests.py": "who may wait at the door before the greeting",
     "lfield/simulate/judging/breaches.py": "what a judge says, for all of them",
     "lfield/simulate/judging/saved.py": "what is asked of simulated journals",
     "lfield/simulate/time.py": "the jumping clock",

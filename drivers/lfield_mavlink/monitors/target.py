@@ -13,8 +13,12 @@ from collections import deque
 
 from lfield_mavlink.geo import Vector
 
-#: Metres over ground and in height between two targets that are not the same.
-NEAR, LEVEL = 2.0, 3.0
+#: Metres over ground and in height between two targets that are not the same. What was sent is told again to
+#: 0.011 m (ap-rover.c-speed: all of 174), the last digit of a latitude; the rest is for what was not
+#: recorded, places of PX4 in OFFBOARD and of ArduCopter. Degrees and metres differ by FAR of the distance.
+NEAR, LEVEL, FAR = 0.5, 1.0, 1e-3
+#: The same for where a vehicle stops when it enters the mode: what is known of that is where it was.
+RESTS, RESTS_LEVEL = 2.0, 3.0
 #: m/s between two velocities that are not the same; over ground a slower one may be a bounded one.
 SAME = 0.6
 #: Metres about the vehicle within which a place may be where it stops by itself.
@@ -39,6 +43,8 @@ class TargetMonitor:
         # what its fence forbids it ignores.
         self._earlier: list[tuple[float, Vector]] = []
         self._began = math.inf
+        # Where it stops when it has not taken in any place yet, and until when that may be told.
+        self._rests: tuple[Vector, float] | None = None
         # When the newest of the places was sent that it is known to have followed.
         self._followed = -math.inf
         self._seen = self._by_velocity = False
@@ -52,6 +58,8 @@ class TargetMonitor:
         self._places.clear()
         self._began, self._followed, self._seen, self._by_velocity = now, -math.inf, False, False
         self._strange = self._stops_at = None
+        if self._rests is not None:
+            self._rests = self._rests[0], min(self._rests[1], now + LATE)
 
     def on_place(self, place: Vector, now: float, rests_at: Vector | None) -> None:
         """A position was sent; `rests_at` is where it stops when it has not taken in any yet."""
@@ -60,7 +68,7 @@ class TargetMonitor:
         if not self._places:
             self._began = now
             if rests_at is not None:
-                self._places.append((now, rests_at))
+                self._rests = rests_at, math.inf
         if self._places and self._places[-1][1] == place:
             self._places.pop()
         self._places.append((now, place))
@@ -130,13 +138,25 @@ class TargetMonitor:
         for at, sent in reversed(self._places):
             if self._is_near(place, sent):
                 return at
+        if self._is_at_rest(place, now):
+            return -math.inf
         ignored = bool(self._places) and not self._seen
         earlier = (each for until, each in self._earlier if now <= until or ignored)
         return -math.inf if any(self._is_near(place, sent) for sent in earlier) else None
 
     def _is_near(self, place: Vector, sent: Vector) -> bool:
+        near = NEAR + FAR * math.hypot(*sent[:2])
+        return math.dist(place[:2], sent[:2]) <= near and self._is_level(place, sent, LEVEL)
+
+    def _is_at_rest(self, place: Vector, now: float) -> bool:
+        if self._seen or self._rests is None or now > self._rests[1]:
+            return False
+        rests = self._rests[0]
+        return math.dist(place[:2], rests[:2]) <= RESTS and self._is_level(place, rests, RESTS_LEVEL)
+
+    def _is_level(self, place: Vector, sent: Vector, apart: float) -> bool:
         level = self._level and math.isfinite(place[2])
-        return math.dist(place[:2], sent[:2]) <= NEAR and (not level or abs(place[2] - sent[2]) <= LEVEL)
+        return not level or abs(place[2] - sent[2]) <= apart
 
     def _was_sent(self, velocity: Vector, now: float) -> bool:
         """Whether it is a velocity of the last seconds, or the present one, bounded by the autopilot."""

@@ -26,10 +26,8 @@ from lfield_mavlink.setpoints.trajectory import Stay, Target, Trajectory, stoppi
 ON_ITS_WAY, DRIVES = Patience(), Patience(turning=40.0, detour=30.0)
 #: m/s above which it moves, unless it is told a low speed: then the share of that, and what is always noise.
 MOVES, SHARE, NOISE = 0.3, 0.5, 0.05
-#: The seconds after which one that does not move is asked why.
-ASKED_WHY = 2.0
-#: Seconds without its position after which a moving target waits.
-PLACED = 0.5
+#: Seconds after which one that does not move is asked why, and without a position a moving target waits.
+ASKED_WHY, PLACED = 2.0, 0.5
 #: Seconds out of OFFBOARD after which no trajectory is followed: a packet of before may come late.
 LEFT = 0.7
 #: m/s over ground with which a stop is followed.
@@ -99,7 +97,6 @@ class Motion:
         self.monitor.check_begin(what)
         self._vehicle.take_charge()
         self._began, self._stopped = self._vehicle.clock.monotonic(), ""
-        self.hover.end()
         self.speed.begin()
         self.brake()
 
@@ -126,8 +123,7 @@ class Motion:
     def brake(self) -> None:
         """Have no motion go on: PX4's copter stops by the setpoints that it needs anyway."""
         place, profile = self._resting_place, self._vehicle.profile
-        stops = self.stream.runs and self._is_fed and profile.by_trajectory and profile.flies
-        if stops and place is not None:
+        if place and self.stream.runs and self._is_fed and profile.by_trajectory and profile.flies:
             self._begin_stream(Stay(place, STAYS_AT))
         else:
             self.stream.stop()
@@ -220,10 +216,9 @@ class Motion:
         await self.speed.fly_at(order.speed if order.command is None else None, self.send)
 
     def check_bounded(self, what: str, mode: str) -> None:
-        """Refuse a mode in which PX4 moves by itself, unless the binding waives that. Raises DeviceError.
+        """Refuse a mode that no failsafe ends when this computer dies, unless the binding waives that.
 
-        One that is the binding's safe state, or leads down, may go on when this computer dies; in the air a
-        hover may not: no failsafe ends it beside another station.
+        The binding's safe state and a landing may continue then; a hover may not. Raises DeviceError.
         """
         profile, binding = self._vehicle.profile, self._vehicle.binding
         bounded = {profile.land, profile.safe(binding.safe_state)}
@@ -231,11 +226,13 @@ class Motion:
             bounded.add(profile.hold)
         if mode in profile.autonomous - bounded:
             self._check_waived(what, f"PX4 flies {mode} by itself")
+        if mode in profile.piloted - bounded and self._state.landed is False:
+            self._check_waived(what, f"the failsafe of ArduCopter leaves {mode} to a pilot")
 
     def _check_waived(self, what: str, why: str) -> None:
         if not self._vehicle.binding.waives(AUTONOMOUS):
             raise self._vehicle.error(
-                f"{what} refused: {why}, and would go on when this computer dies, as long as it hears any "
+                f"{what} refused: {why}, and would go on when this computer dies, also beside another "
                 f"ground station. Use goTo, orbit, hold and land, or accept it by 'waivers: "
                 f"{{{AUTONOMOUS}: REASON}}' in its binding"
             )
@@ -251,7 +248,7 @@ class Motion:
             raise
 
     def _begin_stream(self, trajectory: Trajectory) -> None:
-        self._left_at, self._was_in_guided = None, self._is_in_guided or self._is_fed
+        self._left_at, self._was_in_guided = None, self._is_fed
         self.stream.follow(trajectory)
 
     def _where(self) -> tuple[Vector | None, Vector]:
@@ -261,24 +258,19 @@ class Motion:
 
     def _is_followed(self) -> bool:
         """Whether the moving target is still to be sent: not when somebody else has it, or it is off."""
-        now = self._vehicle.clock.monotonic()
-        stays = self._left_at is None or now - self._left_at < LEFT
+        stays = self._left_at is None or self._vehicle.clock.monotonic() - self._left_at < LEFT
         return self._state.armed and stays and not self.monitor.foreign
-
-    @property
-    def _is_in_guided(self) -> bool:
-        return self._state.mode == self._vehicle.profile.guided
 
     @property
     def _is_fed(self) -> bool:
         """Whether PX4 waits for setpoints, also where it has accepted that and has not shown it yet."""
-        return self._vehicle.profile.px4 and (self._is_in_guided or self.guided.is_believed)
+        return self._vehicle.profile.px4 and (self.guided.is_entered or self.guided.is_believed)
 
     def _on_mode(self, _: object) -> None:
         """Note when it leaves OFFBOARD, once it was in it."""
         if self._state.profile is None or self.stream.trajectory is None:
             return
-        if self._is_in_guided:
+        if self.guided.is_entered:
             self._left_at, self._was_in_guided = None, True
         elif self._was_in_guided and self._left_at is None:
             self._left_at = self._vehicle.clock.monotonic()
@@ -340,9 +332,8 @@ class Motion:
     @property
     def moves(self) -> bool:
         """Whether it moves over ground or up and down, as far as it tells."""
-        least = (
-            MOVES if self.speed.of_motion is None else max(min(MOVES, SHARE * self.speed.of_motion), NOISE)
-        )
+        pace = self.speed.of_motion
+        least = MOVES if pace is None else max(min(MOVES, SHARE * pace), NOISE)
         return self._state.speeds is not None and math.hypot(*self._state.speeds) > least
 
     def _is_refused(self, order: Order, progress: Progress, now: float) -> bool:

@@ -90,7 +90,7 @@ class Hops:
         """Whoever sent it has heard that it came: told of those whose leaving was told."""
         away = self._away.get(effect.agent)
         if away is not None and (away.generation, away.sequence) == (effect.generation, effect.sequence):
-            self._arrived(effect.agent, away, self._teller.up)
+            self._arrived(effect.agent, away, self._teller.up - effect.held)
 
     def _arrived(self, name: str, away: _Away, up: float) -> None:
         """It was heard then that a hop came to where it was sent."""

@@ -11,8 +11,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from msgspec import structs
+
 from lfield.mobility.effects import Send
 from lfield.wire.coordinators import Accepted, Transfer
+from lfield.wire.fields import OLDEST
 
 #: So many seconds at most an answer waits. That is short beside all that waits for it: leases, time limits in
 #: seconds, and the time after which a copy is in doubt.
@@ -36,7 +39,7 @@ class Answers:
         """A coordinator has arrived, and its sender need not hear of it at once."""
         start = accepted.agent, accepted.generation
         if before := self._waiting.pop(start, None):
-            self._send(before[1])
+            self._out(*before)
         self._waiting[start] = self._now() + ANSWER_AFTER, answer
 
     def tick(self, now: float) -> None:
@@ -46,20 +49,25 @@ class Answers:
             if due > now:
                 return
             del self._waiting[start]
-            self._send(answer)
+            self._out(due, answer)
 
     def leaves(self, host: str, header: Transfer) -> None:
         """A coordinator is sent to a host now, behind the answers for that host."""
         mine = self._waiting.pop((header.agent, header.generation), None) if self._waiting else None
         if mine is not None and mine[1].host != host:
-            self._send(mine[1])
+            self._out(*mine)
         self.flush(host)
 
     def flush(self, host: str = "") -> None:
         """Send what waits for a host to which something is sent now, or for all hosts."""
         if not self._waiting:
             return
-        for start, (_, answer) in list(self._waiting.items()):
+        for start, (due, answer) in list(self._waiting.items()):
             if host in ("", answer.host):
                 del self._waiting[start]
-                self._send(answer)
+                self._out(due, answer)
+
+    def _out(self, due: float, answer: Send) -> None:
+        """Send an answer, which says for how long it was held: that is no part of how long a hop took."""
+        held = min(OLDEST, max(0.0, self._now() - due + ANSWER_AFTER))
+        self._send(Send(answer.host, structs.replace(answer.message, held=held)))

@@ -1,10 +1,10 @@
-"""Whether hosts that other hosts connect agree on who has a coordinator (issue: poor radio, mobility.md).
+"""Whether two hosts that other hosts connect agree on who has a coordinator (mobility.md).
 
-While a path of links connects two hosts for `AGREED_WITHIN` seconds, they do not both report one coordinator as
-in doubt, and a host that has sent one to the other knows whether that has it. A link stands when both of its
-ends have it and nothing on its way is silent or slow; a path leads over hosts whose processes run. The second
-rule does not hold for a receiver that has another memory by now, or whose disk keeps nothing or is slow: its
-answer has to be on its disk first.
+While a path of links connects two hosts for `AGREED_WITHIN` seconds, they do not both report one coordinator
+as in doubt, and a host that has sent one to the other knows whether that has it. A link stands when both of
+its ends have it and nothing on its way is silent or slow; a path leads over hosts whose processes run. The
+second rule does not hold for a receiver that has another memory by now, or whose disk keeps nothing or is
+slow: its answer has to be on its disk first.
 """
 
 from __future__ import annotations

@@ -84,7 +84,8 @@ FIGURE = Figure(
         "round trips; loss of each direction; 57.6 kbit/s are one half-duplex channel for a whole team",
         "hops: two hops of a coordinator, against a request and an answer of 600 bytes",
         "stops: until every device has confirmed, as the desk sees it; pressed again where that fails",
-        "outages: from the path's return until the next two hops, or the next answer, are complete",
+        "outages: from the path's return until the next two hops, or the next answer, are complete;",
+        "another address: from the change of the client's, or of the host where the coordinator starts",
         "bytes are those of IP packets of both directions, lost ones included",
     ),
 )

@@ -86,7 +86,8 @@ class StopLane(Lane):
             return
         flows = self.radio.counts().items()
         sent = sum(count.bytes for flow, count in flows if DESK in (flow.source, flow.to))
-        took, self._since = time.monotonic() - self._since, time.monotonic()
+        now = time.monotonic()
+        took, self._since = now - self._since, now
         self.radio.reset()
         if line == "stopping":
             self.idle.append(sent / took)
@@ -123,6 +124,28 @@ def outages(lanes: Sequence[Lane], robot: str, seconds: float) -> list[float]:
     pairs = list(zip(lanes, returns, strict=True))
     watch(lanes, lambda: all(_after(lane, back) for lane, back in pairs), PATIENCE + seconds)
     return [_after(lane, back)[0] - back for lane, back in pairs]
+
+
+def address_changes(lanes: Sequence[Lane], robot: str, address: str, within: float) -> list[float]:
+    """Give a robot of each lane another address: seconds until something was completed, `within` at most.
+
+    In the end each has its first address again, and something was completed with that.
+    """
+    homes = [lane.radio[robot].address for lane in lanes]
+    moved = [(lane, _move(lane, robot, address)) for lane in lanes]
+    end = time.monotonic() + within
+    watch(lanes, lambda: time.monotonic() > end or all(_after(lane, at) for lane, at in moved))
+    delays = [min([after - at for after in _after(lane, at)[:1]] + [within]) for lane, at in moved]
+    back = [(lane, _move(lane, robot, home)) for lane, home in zip(lanes, homes, strict=True)]
+    watch(lanes, lambda: all(_after(lane, at) for lane, at in back))
+    return delays
+
+
+def _move(lane: Lane, robot: str, address: str) -> float:
+    lane.radio[robot].move(address)
+    # What was complete before is not taken for what comes after.
+    lane.look()
+    return time.monotonic()
 
 
 def _after(lane: Lane, moment: float) -> list[float]:

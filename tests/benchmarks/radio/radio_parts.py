@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from pathlib import Path
 
 from emulator.cells import CELLS
@@ -13,9 +14,9 @@ from harness.figure import Row
 from harness.processes import Child, ChildError, Processes
 from harness.samples import Tick, sentence
 from harness.words import COUNT
-from radio.radio_lanes import Lane, StopLane, collect, watch
+from radio.radio_lanes import Lane, StopLane, address_changes, collect, watch
 from radio.radio_lanes import outages as outages_of
-from radio.radio_team import DESK, RadioTeam
+from radio.radio_team import DESK, Prepared, RadioTeam
 
 from lfield.testing.keys import Keyring
 
@@ -27,10 +28,14 @@ SAMPLES_OF_A_LANE = 10
 FAST, SIZE = 0.09, 600
 #: Bytes of a request that is as small as an order to stop.
 ORDER = 150
+#: Seconds between a lift and the next stop: the copter is released and held meanwhile.
+PAUSE = "1.0"
 #: Samples of a lane that are not counted: the connection learns its round trip.
 WARM_UP = 10
 #: The seconds of outages, lanes that have them at a time, and seconds between two of them.
 OUTAGES, LANES_WITH_OUTAGES, BETWEEN = (1.0, 5.0, 15.0, 30.0), 6, 4.0
+#: The address that a robot changes to, and the seconds that what is compared has to continue from there.
+OTHER_ADDRESS, WITHIN = "10.77.0.71", 30.0
 #: Seconds in which bytes at rest are counted.
 AT_REST = 20.0
 #: What is compared with a hop, and with a stop; `fresh` ones connect for every request.
@@ -49,14 +54,14 @@ _PEERS, _DESK = str(_HERE / "radio_peers.py"), str(_HERE / "radio_desk.py")
 _PATIENCE = 120.0
 _COPTER = "driver: mavlink, endpoint: 'udp:127.0.0.1:14550', waivers: [device_watchdog]"
 
-#: Starts a lane, whose processes end with `Processes`, with the seed of its radio.
-Starter = Callable[[Processes, int], Lane]
+#: Starts lanes, whose processes end with `Processes`, with the seeds of their radios.
+Starter = Callable[[Processes, Sequence[int]], Sequence[Lane]]
 
 
 def hops(checkout: Checkout, samples: int, tick: Tick, cell: str) -> Iterator[Row]:
     """Two hops of a coordinator beside requests of the same size."""
-    starters: dict[str, Starter] = {"lfield": lambda processes, seed: traveller(checkout, processes, seed)}
-    starters |= {name: peer(checkout, called, SIZE) for name, called in PEERS.items()}
+    starters: dict[str, Starter] = {"lfield": partial(travellers, checkout)}
+    starters |= {name: peers(checkout, called, SIZE) for name, called in PEERS.items()}
     yield from _compared(f"hops, {cell}", starters, samples, tick, cell)
 
 
@@ -71,7 +76,7 @@ def stops(checkout: Checkout, samples: int, tick: Tick, cell: str) -> Iterator[R
             except Exception as error:
                 yield Row(case, shown, error=sentence(error))
     starters = {
-        name: peer(checkout, called, ORDER, fresh=fresh) for name, (called, fresh) in STOP_PEERS.items()
+        name: peers(checkout, called, ORDER, fresh=fresh) for name, (called, fresh) in STOP_PEERS.items()
     }
     yield from _compared(f"stop, {cell}", starters, samples, tick, cell)
 
@@ -79,7 +84,7 @@ def stops(checkout: Checkout, samples: int, tick: Tick, cell: str) -> Iterator[R
 def _stops(checkout: Checkout, samples: int, cell: str, hosts: int, way: str) -> Iterator[Row]:
     with Processes() as processes:
         seeds = _seeds(cell, samples, LANES if hosts == 1 else LANES_OF_FIVE)
-        lanes = [stopping(checkout, processes, seed, hosts, way) for seed in seeds]
+        lanes = stopping(checkout, processes, seeds, hosts, way)
         found = collect(lanes, cell, samples)
         sizes = [size / 1000 for lane in lanes for size in lane.sizes]
         yield Row(f"stop of {hosts}, {cell}", f"lfield, {way}", samples=found)
@@ -89,29 +94,43 @@ def _stops(checkout: Checkout, samples: int, cell: str, hosts: int, way: str) ->
 
 
 def outages(checkout: Checkout, samples: int, tick: Tick, cell: str) -> Iterator[Row]:
-    """How soon traffic continues after the path has returned; one outage per round and lane."""
+    """How soon traffic continues after the path has returned, or a robot has another address.
+
+    Every lane has one of each in a round.
+    """
     rounds = max(1, samples // 100)
-    starters: dict[str, Starter] = {"lfield": lambda processes, seed: traveller(checkout, processes, seed)}
-    starters |= {name: peer(checkout, called, SIZE, pause=0.1) for name, called in PEERS.items()}
-    found: dict[tuple[float, str], list[float]] = {}
+    starters: dict[str, Starter] = {"lfield": partial(travellers, checkout)}
+    starters |= {name: peers(checkout, called, SIZE, pause=0.1) for name, called in PEERS.items()}
+    found: dict[tuple[str, str], list[float]] = {}
     with Processes() as processes:
-        lanes: dict[str, list[Lane]] = {}
+        lanes: list[tuple[str, Lane]] = []
         for name, start in starters.items():
             tick(f"outages, {name}, made ready")
-            lanes[name] = [start(processes, seed) for seed in _seeds(cell, samples, LANES_WITH_OUTAGES)]
-        every = [lane for some in lanes.values() for lane in some]
+            lanes += [(name, lane) for lane in start(processes, _seeds(cell, samples, LANES_WITH_OUTAGES))]
+        every = [lane for _, lane in lanes]
         collect(every, cell, len(every))
-        for number in range(rounds):
-            for seconds in OUTAGES:
-                tick(f"outages, {seconds:g} s, round {number + 1} of {rounds}")
-                delays = outages_of(every, FAR, seconds)
-                for name, some in lanes.items():
-                    of_name = [delays[every.index(lane)] for lane in some]
-                    found.setdefault((seconds, name), []).extend(of_name)
-                rest(every, BETWEEN)
-    for (seconds, name), delays in found.items():
-        case = f"outage of {seconds:g} s, {cell}" if name == "lfield" else ""
-        yield Row(case, name, samples=delays)
+        for _ in range(rounds):
+            for case, delays in _interruptions(every, tick):
+                for (name, _), delay in zip(lanes, delays, strict=True):
+                    found.setdefault((f"{case}, {cell}", name), []).append(delay)
+    shown = ""
+    for (case, name), delays in found.items():
+        there = [delay for delay in delays if delay < WITHIN]
+        yield Row("" if case == shown else case, name, samples=there)
+        if late := len(delays) - len(there):
+            yield Row("", f"{name}: not within {WITHIN:g} s", COUNT, [late])
+        shown = case
+
+
+def _interruptions(lanes: Sequence[Lane], tick: Tick) -> Iterator[tuple[str, list[float]]]:
+    """One round: what each is called, and the delay of every lane."""
+    for seconds in OUTAGES:
+        tick(case := f"outage of {seconds:g} s")
+        yield case, outages_of(lanes, FAR, seconds)
+        rest(lanes, BETWEEN)
+    tick(case := "another address")
+    yield case, address_changes(lanes, NEAR, OTHER_ADDRESS, WITHIN)
+    rest(lanes, BETWEEN)
 
 
 def rest(lanes: Sequence[Lane], seconds: float) -> None:
@@ -128,7 +147,7 @@ def idle(checkout: Checkout, samples: int, tick: Tick, cell: str) -> Iterator[Ro
     """Bytes per second and link of a team of five, of `watch` for each host, and of the standing peers."""
     tick(f"at rest, {cell}")
     with Processes() as processes:
-        team = vehicles(checkout, processes, 1, 5)
+        (team,) = vehicles(checkout, processes, [1], 5)
         team.radio.set(CELLS[cell])
         yield Row(
             f"at rest, {cell}", "lfield, link of two hosts", "B/s", [_bytes_per_second(team.radio) / 10]
@@ -139,7 +158,7 @@ def idle(checkout: Checkout, samples: int, tick: Tick, cell: str) -> Iterator[Ro
         )
     for name, called in PEERS.items():
         with Processes() as processes:
-            lane = peer(checkout, called, SIZE, pause=1e6)(processes, 1)
+            (lane,) = peers(checkout, called, SIZE, pause=1e6)(processes, [1])
             lane.radio.set(CELLS[cell])
             yield Row(f"at rest, {cell}", name, "B/s", [_bytes_per_second(lane.radio)])
 
@@ -162,7 +181,7 @@ def _compared(case: str, starters: dict[str, Starter], samples: int, tick: Tick,
         tick(f"{case}, {name}")
         try:
             with Processes() as processes:
-                lanes = [start(processes, seed) for seed in _seeds(cell, samples, LANES)]
+                lanes = start(processes, _seeds(cell, samples, LANES))
                 yield Row(shown, name, samples=collect(lanes, cell, samples, WARM_UP))
         except Exception as error:
             yield Row(case, name, error=sentence(error))
@@ -177,53 +196,62 @@ def _seeds(cell: str, samples: int, most: int) -> range:
     return range(1, 1 + max(1, min(most, samples // SAMPLES_OF_A_LANE)))
 
 
-def traveller(checkout: Checkout, processes: Processes, seed: int) -> Lane:
-    """Two hosts, and a coordinator that hops from the one to the other; nothing waits for a disk."""
+def travellers(checkout: Checkout, processes: Processes, seeds: Sequence[int]) -> list[Lane]:
+    """Teams of two hosts, and a coordinator that hops from the one to the other."""
     program = (_HERE / "radio_hops.L").read_text(encoding="utf-8")
     agents = f"//Post:near@{NEAR}", f"//Post:far@{FAR}", f"//Traveller:one@{NEAR}"
-    team = RadioTeam(checkout, processes, program, agents, seed=seed, kept=False)
-    return Lane(team.radio, team.children[NEAR], "hops")
+    prepared = Prepared(checkout, processes, program, agents)
+    teams = [RadioTeam(prepared, seed, kept=False) for seed in seeds]
+    return [Lane(team.radio, team.children[NEAR], "hops") for team in teams]
 
 
-def peer(checkout: Checkout, name: str, size: int, pause: float = 0.0, *, fresh: bool = False) -> Starter:
-    """A server and a client of radio_peers.py."""
+def peers(checkout: Checkout, name: str, size: int, pause: float = 0.0, *, fresh: bool = False) -> Starter:
+    """A server and a client of radio_peers.py on each radio."""
 
-    def start(processes: Processes, seed: int) -> Lane:
+    def start(processes: Processes, seeds: Sequence[int]) -> list[Lane]:
         keys = str(Keyring(processes.folder()).give("host") / "host")
-        radio = processes.keep(Radio(NEAR, FAR, seed=seed))
-        at = name, radio[FAR].address, keys
-        words = {
-            FAR: (checkout.python, _PEERS, "serve", *at),
-            NEAR: (checkout.python, _PEERS, "ask", *at, str(size), str(pause), *(["fresh"] if fresh else [])),
-        }
-        environment = checkout.environment
-        children = {}
-        for robot, line in words.items():
-            children[robot] = processes.start(*radio[robot].line(line), environment=environment)
-            children[robot].line(_PATIENCE)
-        return Lane(radio, children[NEAR], "echo")
+        radios = [processes.keep(Radio(NEAR, FAR, seed=seed)) for seed in seeds]
+
+        def children(robot: str, what: str, *words: str) -> list[Child]:
+            """Start all, then wait for a line of each: the first echo of a client is not measured."""
+            environment, command = checkout.environment, (checkout.python, _PEERS, what, name)
+            lines = [r[robot].line((*command, r[FAR].address, keys, *words)) for r in radios]
+            started = [processes.start(*line, environment=environment) for line in lines]
+            for child in started:
+                child.line(_PATIENCE)
+            return started
+
+        children(FAR, "serve")
+        clients = children(NEAR, "ask", str(size), str(pause), *(["fresh"] if fresh else []))
+        return [Lane(radio, client, "echo") for radio, client in zip(radios, clients, strict=True)]
 
     return start
 
 
-def vehicles(checkout: Checkout, processes: Processes, seed: int, hosts: int) -> RadioTeam:
-    """Hosts with a copter each."""
+def vehicles(checkout: Checkout, processes: Processes, seeds: Sequence[int], hosts: int) -> list[RadioTeam]:
+    """Teams of hosts with a copter each, which may be stopped."""
     names = range(hosts)
     fcs = "".join(f"\n  v{n}: {{devices: {{fc: {{{_COPTER}, system: {n + 1}}}}}}}" for n in names)
     agents = [*(f"//Vehicle:v{n}@h{n}" for n in names), "//Nobody:one@h0"]
     program = (_HERE / "radio_stops.L").read_text(encoding="utf-8")
-    team = RadioTeam(checkout, processes, program, agents, f"silence: 2.0\nagents:{fcs}\n", seed=seed)
-    for host in team.hosts:
-        until(team.children[host], "ready")
-    return team
+    prepared = Prepared(checkout, processes, program, agents, f"silence: 2.0\nagents:{fcs}\n")
+    teams = [RadioTeam(prepared, seed, kept=True) for seed in seeds]
+    for team in teams:
+        for child in team.children.values():
+            until(child, "ready")
+    return teams
 
 
-def stopping(checkout: Checkout, processes: Processes, seed: int, hosts: int, way: str) -> StopLane:
-    """A team and a desk that stops it."""
-    team = vehicles(checkout, processes, seed, hosts)
-    link = link_of_page(team) if way != "command" else ""
-    words = ("page", "1.0", link) if way == "page" else ("command", "1.0", str(team.bundle), *team.maps)
-    return StopLane(team.radio, team.desk(_DESK, *words), "stop")
+def stopping(
+    checkout: Checkout, processes: Processes, seeds: Sequence[int], hosts: int, way: str
+) -> list[StopLane]:
+    """Teams, and a desk of each that stops it."""
+    lanes = []
+    for team in vehicles(checkout, processes, seeds, hosts):
+        link = link_of_page(team) if way != "command" else ""
+        words = ("page", PAUSE, link) if way == "page" else ("command", PAUSE, *team.mission)
+        lanes.append(StopLane(team.radio, team.desk(_DESK, *words), "stop"))
+    return lanes
 
 
 def link_of_page(team: RadioTeam) -> str:

@@ -18,42 +18,53 @@ PATIENCE = 10.0
 _CONFIG = Path("lfield") / "keys"
 
 
-class RadioTeam:
-    """Hosts that run one mission with keys of their own, and the desk; on a perfect radio at first."""
+class Prepared:
+    """A mission that is built and signed, and keys of its hosts and the desk: for teams on many radios."""
 
     def __init__(
-        self,
-        checkout: Checkout,
-        processes: Processes,
-        program: str,
-        agents: Sequence[str],
-        devices: str = "",
-        *,
-        seed: int = 1,
-        kept: bool = True,
+        self, checkout: Checkout, processes: Processes, program: str, agents: Sequence[str], devices: str = ""
     ) -> None:
-        self._checkout, self._processes, self._kept = checkout, processes, kept
+        self.checkout, self.processes, self.simulated = checkout, processes, bool(devices)
         self.hosts = list(dict.fromkeys(agent.partition("@")[2].partition("?")[0] for agent in agents))
-        self.radio = processes.keep(Radio(*self.hosts, DESK, seed=seed))
-        self._folder = processes.folder()
-        self.bundle = self._build(program, agents, devices)
-        self.children = {host: self._up(host) for host in self.hosts}
-        processes.at_end(self._end)
+        self.folder = processes.folder()
+        self.bundle, deployment = self.folder / "mission.lfm", self.folder / "mission.dL"
+        deployment.with_suffix(".L").write_text(program, encoding="utf-8")
+        deployment.write_text("\n".join([*agents, ""]), encoding="utf-8")
+        if devices:
+            deployment.with_suffix(".devices.yaml").write_text(devices, encoding="utf-8")
+        checkout.lfield(processes, "build", str(deployment), "-o", str(self.bundle)).wait()
+        keyring = Keyring(self.folder / _CONFIG)
+        keyring.give(*self.hosts)
+        keyring.sign(self.bundle)
+
+
+class RadioTeam:
+    """The hosts of a mission and the desk; on a perfect radio at first.
+
+    A host that is not `kept` writes no journal: then nothing waits for a disk.
+    """
+
+    def __init__(self, prepared: Prepared, seed: int, *, kept: bool) -> None:
+        self._prepared, self._kept = prepared, kept
+        self.radio = prepared.processes.keep(Radio(*prepared.hosts, DESK, seed=seed))
+        self._folder = prepared.processes.folder()
+        self.children = {host: self._up(host) for host in prepared.hosts}
+        prepared.processes.at_end(self._end)
 
     @property
-    def maps(self) -> list[str]:
-        """The options that say where the hosts are."""
-        return [
-            word for host in self.hosts for word in ("--map", f"{host}={self.radio[host].address}:{PORT}")
-        ]
+    def mission(self) -> list[str]:
+        """What a command needs to know: the bundle, and where the hosts are."""
+        addresses = {host: self.radio[host].address for host in self._prepared.hosts}
+        maps = [word for host, at in addresses.items() for word in ("--map", f"{host}={at}:{PORT}")]
+        return [str(self._prepared.bundle), *maps]
 
     def desk(self, *words: str) -> Child:
         """Start a Python command at the desk, which has the keys of a person who may do everything."""
-        return self._start(DESK, self._checkout.python, *words)
+        return self._start(DESK, *words)
 
     def watch(self) -> Child:
         """Start `lfield watch` at the desk; its first line with http has the link of the page."""
-        return self.desk("-m", "lfield", "watch", str(self.bundle), *self.maps)
+        return self.desk("-m", "lfield", "watch", *self.mission)
 
     def _end(self) -> None:
         """End the hosts in order: the guard of one that is killed stays with its device."""
@@ -64,32 +75,20 @@ class RadioTeam:
 
     def _up(self, host: str) -> Child:
         journal = "--state", str(self._folder / host / "kept")
-        memory = journal if self._kept else self._checkout.keeping_nothing
-        simulated = ("--sim",) if self._simulated else ()
-        words = "-m", "lfield", "up", str(self.bundle), "--host", host, *self.maps, *memory, *simulated
-        return self._start(host, self._checkout.python, *words)
+        memory = journal if self._kept else self._prepared.checkout.keeping_nothing
+        simulated = ("--sim",) if self._prepared.simulated else ()
+        return self._start(host, "-m", "lfield", "up", *self.mission, "--host", host, *memory, *simulated)
 
     def _start(self, name: str, *words: str) -> Child:
         own = self._folder / name
         own.mkdir(mode=0o700, exist_ok=True)
-        environment = self._checkout.environment | {
-            "XDG_CONFIG_HOME": str(self._folder),
+        checkout = self._prepared.checkout
+        environment = checkout.environment | {
+            "XDG_CONFIG_HOME": str(self._prepared.folder),
             "XDG_RUNTIME_DIR": str(own),
             "XDG_STATE_HOME": str(own),
             "PYTHONUNBUFFERED": "1",
         }
-        line = self.radio[name].line(words)
-        return self._processes.start(*line, environment=environment, folder=self._checkout.root, merged=True)
-
-    def _build(self, program: str, agents: Sequence[str], devices: str) -> Path:
-        deployment, bundle = self._folder / "mission.dL", self._folder / "mission.lfm"
-        (self._folder / "mission.L").write_text(program, encoding="utf-8")
-        deployment.write_text("\n".join([*agents, ""]), encoding="utf-8")
-        self._simulated = bool(devices)
-        if devices:
-            deployment.with_suffix(".devices.yaml").write_text(devices, encoding="utf-8")
-        self._checkout.lfield(self._processes, "build", str(deployment), "-o", str(bundle)).wait()
-        keyring = Keyring(self._folder / _CONFIG)
-        keyring.give(*self.hosts)
-        keyring.sign(bundle)
-        return bundle
+        line = self.radio[name].line((checkout.python, *words))
+        start = self._prepared.processes.start
+        return start(*line, environment=environment, folder=checkout.root, merged=True)

@@ -59,8 +59,8 @@ def test_a_coordinator_in_doubt_ends_by_a_persons_word(fleet):
 
 def test_one_that_is_alive_goes_on_and_whoever_asks_is_told_where(fleet):
     async def story(team):
-        _, away = await team.up(team.mission(PROGRAM, DEPLOYMENT), keeps=True)
-        await team.until(lambda: away.output)
+        home, away = await team.up(team.mission(PROGRAM, DEPLOYMENT), keeps=True)
+        await team.until(lambda: away.output and "PREPARED" not in str(home.host.mobility.knowledge()))
         with pytest.raises(CoordinatorAlive, match=r"alive on away \(start 1\), in a portal: nothing"):
             insist_on_doubt("guest", await looked(team, "home", "away"), NAMES)
         with pytest.raises(UsageError, match="no host that answers knows of a coordinator geust"):

@@ -73,6 +73,8 @@ def test_a_walk_is_seen_hop_by_hop_to_its_end(fleet) -> None:
         await fleet.up(mission)
         async with followed(fleet, mission, since=0) as shown:
             await fleet.until(lambda: shown.seen().agents["walker"].finished)
+            # The end of the coordinator is told before its last hop is confirmed.
+            await fleet.until(lambda: shown.seen().coordinators["walker"].trail[-1].seconds is not None)
             await fleet.until(lambda: len([x for x in shown.seen().log if "visit" in x.text]) == 6)
             seen = shown.seen()
             walker = seen.coordinators["walker"]
@@ -85,7 +87,9 @@ def test_a_walk_is_seen_hop_by_hop_to_its_end(fleet) -> None:
             assert walker.hops == 5
             assert all(host.linked for host in seen.hosts.values())
             told = shown.timeline.given()
-            times = {(d.host, d.incarnation, d.event.number): n for n, d in enumerate(told)}
+            # What stands beside the numbered events has the number of the last one: the first has its own.
+            numbered = reversed(list(enumerate(told)))
+            times = {(d.host, d.incarnation, d.event.number): n for n, d in numbered}
             causes = [(times[d.cause], n) for n, d in enumerate(told) if d.cause in times]
             assert len(causes) > 20
             assert all(cause < effect for cause, effect in causes)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import math
 from itertools import pairwise
 
 import pytest
@@ -151,6 +152,26 @@ def test_a_goal_that_is_lost_for_seconds_leaves_the_place_before_it_its_own():
     assert monitor.on_guided(9.0) == ""
     monitor.on_told_place(ELSEWHERE, 9.0, HOME, aloft=True)
     assert monitor.on_guided(9.5) == "82 m from its goal"
+
+
+@pytest.mark.parametrize(
+    ("told", "strange"),
+    [
+        ((60.02, 0.0, -8.0), False),
+        ((60.0, 0.0, -8.3), False),
+        ((60.0, 0.8, -8.0), True),
+        ((60.0, 0.0, -9.5), True),
+        ((60.0, 0.0, math.nan), False),
+    ],
+)
+def test_targets_near_the_own_one_are_not_the_own_one(told, strange):
+    monitor = TargetMonitor()
+    monitor.clear(0.0)
+    monitor.on_place(GOAL, 0.0, HOME)
+    monitor.on_told_place((1.5, 1.0, -6.0), 0.5, HOME, aloft=True)
+    monitor.on_told_place(GOAL, 1.0, HOME, aloft=True)
+    monitor.on_told_place(told, 3.0, HOME, aloft=True)
+    assert bool(monitor.on_guided(4.0)) == strange
 
 
 def test_targets_of_the_motion_before_may_come_late_but_not_for_ever():

@@ -270,7 +270,9 @@ def test_beyond_a_radius_it_holds_and_the_flight_says_why(limited, monkeypatch):
         await asyncio.sleep(5.0)
 
     b.run(mission)
-    assert b.autopilot.mode == "BRAKE"
+    # It has stopped in BRAKE, and hovers.
+    assert b.autopilot.mode == "GUIDED"
+    assert math.hypot(*b.autopilot.vehicle.velocity) < 0.1
     assert b.breaches == []
 
 

@@ -244,6 +244,36 @@ def test_an_ardupilot_returns_and_flies_missions_without_a_waiver(bench):
     b.run(story)
 
 
+@pytest.mark.parametrize("mode", ["LOITER", "ALT_HOLD", "BRAKE", "STABILIZE"])
+def test_a_pilots_mode_in_the_air_needs_a_waiver_on_an_arducopter(bench, mode):
+    """With bit 4 of FS_OPTIONS its failsafe would not act in one when this computer is dead."""
+    b = bench(waivers=("device_watchdog",))
+
+    async def story(fc):
+        await fc.execute("setMode", [mode])
+        await fc.execute("setMode", ["GUIDED"])
+        await fc.execute("arm", [])
+        await fc.execute("takeoff", [8.0])
+        with pytest.raises(DeviceError) as error:
+            await fc.execute("setMode", [mode])
+        assert "waivers: {autonomous_motion: REASON}" in error.value.reason
+        assert b.autopilot.mode == "GUIDED"
+
+    b.run(story)
+
+
+def test_a_pilots_mode_is_entered_where_that_is_waived(bench):
+    b = bench(waivers=("device_watchdog", "autonomous_motion"))
+
+    async def story(fc):
+        await fc.execute("arm", [])
+        await fc.execute("takeoff", [8.0])
+        await fc.execute("setMode", ["LOITER"])
+        assert b.autopilot.mode == "LOITER"
+
+    b.run(story)
+
+
 @pytest.mark.parametrize(("state", "kind"), [("hold", "copter"), ("land", "rover")])
 def test_the_mode_for_staying_is_entered_where_it_is_safe(px4, state, kind):
     b = px4(safe_state=state, kind=kind)

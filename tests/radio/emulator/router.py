@@ -10,6 +10,7 @@ from __future__ import annotations
 import json
 import os
 import select
+import signal
 import socket
 import sys
 import time
@@ -129,6 +130,8 @@ def main() -> None:
     """Serve. A busy computer would be a poor radio of its own, so it runs before others where it may."""
     with open(sys.stdin.fileno(), "rb", buffering=0, closefd=False) as control:
         told = json.loads(control.readline())
+    # A Ctrl-C is for whoever started it, and closes stdin.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
     with suppress(OSError):
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(10))
     router = Router(**told)

@@ -11,7 +11,7 @@ import subprocess
 from pathlib import Path
 
 DEVICE = "air0"
-_CLONE = Path("/dev/net/tun")
+CLONE = Path("/dev/net/tun")
 _TOOLS = ("unshare", "nsenter", "ip")
 _CLONE_NEWNET = 0x40000000
 _TUNSETIFF, _IFF_TUN, _IFF_NO_PI = 0x400454CA, 0x0001, 0x1000
@@ -22,17 +22,17 @@ def missing() -> str:
     """What this computer does not have for an emulated radio, as one sentence; "" when it has all."""
     if os.geteuid():
         return "the emulated radio needs root: start it with sudo"
-    if not _CLONE.exists():
-        return f"the emulated radio needs {_CLONE}: load the kernel module tun"
+    if not CLONE.exists():
+        return f"the emulated radio needs {CLONE}: load the kernel module tun"
     if absent := [tool for tool in _TOOLS if shutil.which(tool) is None]:
         return f"the emulated radio needs {', '.join(absent)}: install util-linux and iproute2"
     tried = subprocess.run(["unshare", "--net", "true"], capture_output=True, text=True)
     if tried.returncode:
         return f"the emulated radio needs network namespaces: {tried.stderr.strip()}"
     try:
-        os.close(os.open(_CLONE, os.O_RDWR))
+        os.close(os.open(CLONE, os.O_RDWR))
     except OSError as error:
-        return f"the emulated radio needs {_CLONE}: {error.strerror}"
+        return f"the emulated radio needs {CLONE}: {error.strerror}"
     return ""
 
 
@@ -47,6 +47,6 @@ def open_tun(pid: int) -> int:
             raise OSError(ctypes.get_errno(), "setns")
     finally:
         os.close(namespace)
-    device = os.open(_CLONE, os.O_RDWR | os.O_NONBLOCK)
+    device = os.open(CLONE, os.O_RDWR | os.O_NONBLOCK)
     fcntl.ioctl(device, _TUNSETIFF, struct.pack("16sH22x", DEVICE.encode(), _IFF_TUN | _IFF_NO_PI))
     return device

@@ -23,8 +23,10 @@ from lfield.mobility.departures import Departures
 from lfield.mobility.effects import Effect, Persist, Send
 from lfield.mobility.fates import Absent
 from lfield.mobility.hearsay import Hearsay
+from lfield.mobility.relays import Relays
 from lfield.mobility.starts import Starts
 from lfield.simulate.seeds import Draws
+from lfield.simulate.stories.drawing import apart
 from lfield.simulate.stories.story import FOR_EVER, Story, forgetful, plain
 from lfield.vm.machine import Machine
 from lfield.wire.coordinators import NEVER_ARRIVED, Accepted, Inquire, Refused
@@ -37,8 +39,8 @@ Patch = pytest.MonkeyPatch
 class Bug:
     """A bug: how it is planted, why it is one, by which breaches it may be found, and a seed that does.
 
-    `draws` has the stories that it needs, and from `first` on a thousand of them find it: the rarest need
-    many thousands, which nobody waits for.
+    `draws` has the kind of stories that finds it fastest. When `seed` finds it no more, since a change has
+    moved what happens in it, the `within` stories from `first` on are searched; a thousand find every bug.
     """
 
     plant: Callable[[Patch], None]
@@ -47,6 +49,7 @@ class Bug:
     seed: int
     draws: Draws = plain
     first: int = 0
+    within: int = 150
 
     @property
     def name(self) -> str:
@@ -197,6 +200,10 @@ def generations_from_the_wall_clock(patch: Patch) -> None:
     patch.setattr(Starts, "next", property(lambda self: int(self.clock.time())))
 
 
+def nobody_asks_over_other_hosts(patch: Patch) -> None:
+    patch.setattr(Relays, "arm", lambda self: None)
+
+
 BUGS = [
     Bug(
         silence_is_a_loss,
@@ -214,7 +221,7 @@ BUGS = [
     Bug(
         a_pump_dies_while_guards_are_fed,
         "an exception ended what turns the host, and its guards heard that all was well",
-        frozenset({"stuck", "device"}),
+        frozenset({"stuck", "device", "doubt"}),
         2,
     ),
     Bug(
@@ -283,5 +290,12 @@ BUGS = [
         frozenset({"start", "I1", "I2"}),
         19,
         draws=forgetful,
+    ),
+    Bug(
+        nobody_asks_over_other_hosts,
+        "two hosts that others connect both report a coordinator as in doubt",
+        frozenset({"doubt"}),
+        8,
+        draws=apart,
     ),
 ]

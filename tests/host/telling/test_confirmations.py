@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pytest
+from msgspec.structs import replace
 
 from lfield.host.telling.answers import ANSWER_AFTER, Answers
 from lfield.mobility.effects import Send
@@ -29,8 +30,12 @@ class Host:
     """Answers on a clock that stands still unless it is moved."""
 
     def __init__(self) -> None:
-        self.now, self.sent = 10.0, []
-        self.answers = Answers(self.sent.append, lambda: self.now)
+        self.now, self.sent, self.held = 10.0, [], []
+        self.answers = Answers(self.send, lambda: self.now)
+
+    def send(self, answer: Send) -> None:
+        self.held.append(answer.message.held)
+        self.sent.append(Send(answer.host, replace(answer.message, held=0.0)))
 
     def arrives(self, host: str, agent: str = "tom", generation: int = 1, sequence: int = 1) -> Send:
         accepted = Accepted(agent, generation, sequence)
@@ -48,8 +53,10 @@ def test_an_answer_is_sent_after_a_short_time():
     assert host.answers.due == host.now + ANSWER_AFTER
     host.answers.tick(host.now + ANSWER_AFTER / 2)
     assert host.sent == []
-    host.answers.tick(host.now + ANSWER_AFTER)
+    host.now += ANSWER_AFTER
+    host.answers.tick(host.now)
     assert host.sent == [answer]
+    assert host.held == [pytest.approx(ANSWER_AFTER)]
     assert host.answers.due is None
 
 

@@ -9,12 +9,12 @@ is never in doubt when the other is.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from typing import Generic, TypeVar
 
 from lfield.clock import Clock
-from lfield.host.effects import Effect
-from lfield.host.team.coordinators import Coordinators
-from lfield.mobility.effects import Send
+from lfield.mobility.core import Mobility
+from lfield.mobility.effects import Effect, Send
 from lfield.mobility.hearsay import Hearsay, HighestCounts
 from lfield.wire.coordinators import Accepted, Inquire, Refused
 from lfield.wire.messages import Relayed, SignOfLife
@@ -27,9 +27,11 @@ MOST_IN_A_SECOND = 64
 MOST_ASKED = 256
 
 Answer = Accepted | Refused
+#: What a host does, messages among it.
+E = TypeVar("E")
 
 
-class Relays:
+class Relays(Generic[E]):
     """What the host `here` relays, for itself and for others.
 
     `hosts` are the deployment's, `incarnation` is this life, effects go to `out`; `join` comes before all
@@ -37,7 +39,12 @@ class Relays:
     """
 
     def __init__(
-        self, hosts: Sequence[str], here: str, incarnation: int, clock: Clock, out: Callable[[Effect], None]
+        self,
+        hosts: Sequence[str],
+        here: str,
+        incarnation: int,
+        clock: Clock,
+        out: Callable[[E | Send], None],
     ) -> None:
         self._hosts, self._here, self._life = hosts, hosts.index(here), incarnation
         self._clock, self._out = clock, out
@@ -50,9 +57,11 @@ class Relays:
         #: Questions that came through others: the link to their senders may seem to stand here, and does not.
         self._asked: dict[tuple[str, str, int, int], None] = {}
 
-    def join(self, hearsay: Hearsay, coordinators: Coordinators) -> None:
-        """Know the links, and what takes in what comes for this host."""
-        self._hearsay, self._coordinators = hearsay, coordinators
+    def join(
+        self, hearsay: Hearsay, mobility: Mobility, carry_out: Callable[[Iterable[Effect]], None]
+    ) -> None:
+        """Know the links, and what decides on what comes for this host; `carry_out` its effects."""
+        self._hearsay, self._mobility, self._carry_out = hearsay, mobility, carry_out
 
     def arm(self) -> None:
         """A link has changed, or coordinators have come from the disk: there may be something to ask."""
@@ -63,14 +72,13 @@ class Relays:
         """Ask about every transfer from here whose receiver has no link, if it is time."""
         if self.due is None or now < self.due:
             return
-        questions = self._coordinators.mobility.questions()
         self.due = None
-        for question, doubt in questions:
+        for question, doubt in self._mobility.questions():
             self._begin(question)
             due = now + (ASK_IN_DOUBT_EVERY if doubt else ASK_EVERY)
             self.due = due if self.due is None else min(self.due, due)
 
-    def send(self, effect: Effect) -> None:
+    def send(self, effect: E) -> None:
         """Give out an effect; an answer to a host that has no link here is relayed."""
         if isinstance(effect, Send) and isinstance(effect.message, Accepted | Refused):
             asked = _key(effect.host, effect.message) in self._asked
@@ -88,12 +96,11 @@ class Relays:
         if not self._seen.take(relayed.origin) or not self._may_pass(number):
             return
         origin, message = self._hosts[number], relayed.message
-        mobility = self._coordinators.mobility
         if relayed.receiver == self._here:
             if isinstance(message, Inquire):
                 self._note(_key(origin, message))
-            self._coordinators.carry_out(mobility.receive(origin, message, self._clock.monotonic()))
-        elif isinstance(message, Inquire) and (proof := mobility.vouch(message)):
+            self._carry_out(self._mobility.receive(origin, message, self._clock.monotonic()))
+        elif isinstance(message, Inquire) and (proof := self._mobility.vouch(message)):
             self._begin(Send(origin, proof))
         else:
             self._pass_on(relayed, {host, origin})

@@ -1,0 +1,79 @@
+"""What the figure of poor radio makes of the lines of its processes, without a radio."""
+
+from __future__ import annotations
+
+import itertools
+import time
+
+import pytest
+from emulator.radio import Count, Flow
+from harness.processes import ChildError
+from radio.radio_lanes import Lane, StopLane, collect, outages
+
+
+class Printing:
+    """A child that prints these lines, one for each look."""
+
+    def __init__(self, *lines):
+        self._lines = iter(lines)
+
+    def lines(self):
+        return [line] if (line := next(self._lines, None)) else []
+
+
+class Air:
+    """A radio whose counts are given."""
+
+    def __init__(self, *sizes):
+        self._sizes = iter(sizes)
+
+    def set(self, cell):
+        """Any cell."""
+
+    def reset(self):
+        """Nothing is kept."""
+
+    def counts(self):
+        other = {Flow("h0", "h1", 6, 8181): Count(9, 9000)}
+        return {Flow("desk", "h0", 6, 8181): Count(1, next(self._sizes))} | other
+
+    def cut(self, seconds, robot):
+        assert robot == "h1"
+        return time.monotonic() + seconds
+
+
+def endless(seconds, every=0.002):
+    for _ in itertools.count():
+        time.sleep(every)
+        yield f"hops = {seconds}"
+
+
+def test_the_first_sample_of_a_cell_is_not_counted_and_every_lane_has_as_many():
+    quick = Lane(Air(), Printing("up", "hops = 9", *["hops = 1"] * 50), "hops")
+    slow = Lane(Air(), Printing(*["linked"] * 10, "hops = 9", "hops = 2", "hops = 2"), "hops")
+    assert collect([quick, slow], "20 %", 4) == [1.0, 1.0, 2.0, 2.0]
+
+
+def test_a_lane_that_fails_says_why():
+    with pytest.raises(ChildError, match="no keys"):
+        collect([Lane(Air(), Printing("error: no keys"), "hops")], "20 %", 1)
+
+
+def test_bytes_of_a_stop_are_those_of_the_desk_without_what_it_sends_at_rest(monkeypatch):
+    monkeypatch.setattr(time, "monotonic", itertools.count(1000.0, 2.0).__next__)
+    lines = "lifted", "stopping", "stop = 0.5", "again: not reached", "lifting"
+    lane = StopLane(Air(0, 100, 400), Printing(), "stop")
+    for line in lines:
+        lane.child = Printing(line)
+        lane.look()
+    # 100 bytes within 2 s at rest; 400 within the 4 s of the stop, half of which would have been sent anyway.
+    assert (lane.idle, lane.sizes) == ([50.0], [200.0])
+    assert lane.again == ["again: not reached"]
+
+
+def test_an_outage_is_over_with_the_first_sample_after_the_return():
+    lane = Lane(Air(), Printing(*["hops = 1"] * 3), "hops")
+    some = endless(1.0)
+    lane.child = type("Child", (), {"lines": lambda self: [next(some)]})()
+    (delay,) = outages([lane], "h1", 0.05)
+    assert 0 < delay < 0.05
