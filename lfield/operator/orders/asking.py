@@ -41,7 +41,7 @@ from lfield.wire.orders import (
 RELAY_AFTER, RELAYS = 2, 2
 #: A host gets an order signed anew at most so often.
 MOST_SIGNED = 8
-#: A confirmation is taken for a measurement of the round trip where there is none, of so many seconds at most.
+#: A confirmation is a measurement of the round trip where there is none, of so many seconds at most.
 PROMPT = 0.1
 #: What stands beside the hosts in a datagram at most, in bytes: reason, signature, id and framing.
 _BESIDE = 320
