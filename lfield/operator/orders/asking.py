@@ -39,6 +39,9 @@ from lfield.wire.orders import (
 
 #: After so many datagrams without an answer a host is also asked through others, so many at a time.
 RELAY_AFTER, RELAYS = 2, 2
+#: A connection, whose handshake takes 4-5 kB, is begun after RELAY_AFTER of them, and after so many where
+#: datagrams have come through before.
+LINK_AFTER = 5
 #: A host gets an order signed anew at most so often.
 MOST_SIGNED = 8
 #: A confirmation is a measurement of the round trip where there is none, of so many seconds at most.
@@ -143,9 +146,9 @@ class Asking:
 
     @property
     def silent(self) -> frozenset[str]:
-        """The hosts that have not answered their latest RELAY_AFTER datagrams."""
+        """The hosts that have answered so few datagrams lately that a connection is needed."""
         waiting = ((name, host) for name, host in self._hosts.items() if host.due is not None)
-        return frozenset(name for name, host in waiting if host.unanswered > RELAY_AFTER)
+        return frozenset(name for name, host in waiting if host.unanswered > _most_lost(host))
 
     @property
     def due(self) -> float | None:
@@ -304,3 +307,7 @@ class Asking:
         size = sum(len(one.signed.order) + len(one.certificate) + 100 for one in waiting)
         others = {name: one.trip for name, one in self._hosts.items()}
         return interval(host.trip, others, max(0, host.unanswered - 1), size)
+
+
+def _most_lost(host: _Host) -> int:
+    return RELAY_AFTER if host.trip.smoothed is None else LINK_AFTER
