@@ -85,8 +85,8 @@ class Host:
         self.core = HostCore(
             mission,
             name,
-            options.dice.getrandbits(62) + 1,
-            self.clock,
+            dice.getrandbits(62) + 1,
+            clock,
             Surroundings(self.peers, self.guards),
             options.dice,
             options.unreachable_after,
@@ -101,10 +101,9 @@ class Host:
         core, guards, peers, kept = self.core, self.guards, self.peers, self.scribe.all_kept
         self._visitors = Visitors(core, guards, peers, clock, self._enter, self.status, self.note, kept)
         self._datagrams = self._order_datagrams(transport)
-        self.changed = asyncio.Event()
         self.broken: dict[str, bool] = {}  # by agent that has died here: whether of a bug of lfield
         #: Set when the host has failed: `failure` says by what.
-        self.failed = asyncio.Event()
+        self.failed, self.changed = asyncio.Event(), asyncio.Event()
         self.failure: HostFailure | None = None
         #: Called first when it fails: whatever is wrong must not keep it from ending.
         self.on_failure: Callable[[], None] = lambda: None

@@ -17,19 +17,42 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 from decoder_corpus import fixed
 from decoder_missions import mission
 from decoder_target import Target
+from msgspec.structs import replace
 from targets_of_links import pack, unpack
 
+from lfield.authority.admission import Judged
+from lfield.authority.believed import BelievedTime
 from lfield.authority.identity import MAX_NAME, Right, identity_of, in_order, uri_of
 from lfield.authority.judge import Revoked, judged
 from lfield.authority.keys import Keys
 from lfield.authority.making import new_authority
+from lfield.authority.orders.signing import Certificates, Signer, verified_order
 from lfield.authority.pem import certificate_in, private_in
 from lfield.authority.reading import der_of, fingerprint_in, identity_in, identity_in_der, revoked_in
 from lfield.authority.signature import sign, signed
+from lfield.clock import ManualClock
 from lfield.errors import KeysError, LfieldError, ProgramError, SignatureError
+from lfield.host.stopping.datagrams import Checking, OrderDatagrams
+from lfield.host.stopping.rations import Sender
 from lfield.mission.access.access_file import read_access
 from lfield.mission.access.rules import decode_access, encode_access
 from lfield.net.tls import Tls
+from lfield.operator.orders.asking import Asking
+from lfield.wire.observing import EmergencyStopped
+from lfield.wire.orders import (
+    MAGIC,
+    CertificateRequest,
+    Challenge,
+    Epochs,
+    RelayedOrder,
+    SignedAnswer,
+    SignedOrder,
+    confirmed,
+    decode_answer,
+    decode_datagram,
+    decode_order,
+    encode_datagram,
+)
 
 BEGIN, END = (datetime(year, 1, 1, tzinfo=UTC).timestamp() for year in (2026, 2099))
 #: Behind a text that was signed in DER: the name of Ed25519, and the length of its signature as bits.
@@ -228,6 +251,72 @@ _YAML = (
     "command",
 )
 
+# -- orders as datagrams --------------------------------------------------------------------------------
+
+ID, EPOCHS = bytes(range(16)), Epochs(b"hold hol", b"end end ")
+
+
+@cache
+def signers() -> tuple[Signer, Signer]:
+    """A person and a host."""
+    made = team()
+    person = Keys("person", made.authority, made.person, made.person_key)
+    return Signer(person), Signer(Keys("host", made.authority, made.host, made.host_key))
+
+
+def take_datagram(data: bytes) -> None:
+    """At the port of a host, from another host, and at the port of a desk. A signed part is signed again."""
+    person, host = signers()
+    known = Certificates(team().authority)
+    known.learn(person.certificate)
+    admission = Judged(Keys("host", team().authority, b"", b""), host.who, BelievedTime(ManualClock(), BEGIN))
+    datagrams = OrderDatagrams(host, known, admission, lambda: EPOCHS, lambda: 0.0)
+
+    def check(checking: Checking) -> None:
+        try:
+            datagrams.checked(checking, verified_order(checking.signed, checking.known, team().authority)[1])
+        except LfieldError as error:
+            datagrams.checked(checking, error)
+
+    datagrams.check = check
+    datagrams.linked = lambda: ["alpha"]
+    datagrams.execute = lambda message, who, answer: answer(EmergencyStopped({"p.fc": ""}, "", message.id))
+    asking = Asking("stop", ID, "fog", {"bravo": Epochs()}, person, Certificates(team().authority))
+    asking.start(0.0)
+    for number, one in enumerate((data, signed_again(data))):
+        datagrams.came(one, Sender("there", number))
+        datagrams.relayed("alpha", RelayedOrder(one, 1))
+        asking.heard(one, 0.1)
+        for send in asking.take():
+            datagrams.came(send.datagram, Sender("here", 0))
+
+
+def signed_again(data: bytes) -> bytes:
+    """The same with signatures that are good, where it can be read."""
+    person, host = signers()
+    try:
+        read = decode_datagram(data)
+        if isinstance(read, SignedOrder):
+            return encode_datagram(replace(person.order(decode_order(read.order)), relay=read.relay))
+        if isinstance(read, SignedAnswer):
+            return encode_datagram(host.answer(decode_answer(read.answer), unknown=True))
+    except LfieldError:
+        pass
+    return data
+
+
+def _orders() -> list[bytes]:
+    person, host = signers()
+    asking = Asking("lift", ID, "over", {"bravo": EPOCHS, "alpha": Epochs()}, person, Certificates(b""))
+    asking.start(0.0)
+    answers = (Challenge(ID, EPOCHS), confirmed(ID, EPOCHS, {"p.fc": "", "q.fc": "moves"}, "late"))
+    return [
+        *(send.datagram for send in asking.take()),
+        *(encode_datagram(host.answer(answer, unknown=True)) for answer in answers),
+        encode_datagram(CertificateRequest("bravo", person.digest, EPOCHS)),
+    ]
+
+
 TARGETS = (
     Target("certificate", _certificates, take_certificate, words=(b"lfield://host/", b"\x30\x82", b"?may=")),
     Target("revocations", _lists, take_list, words=(b"\x30\x00", b"\x02\x01", b"\x17\x0d")),
@@ -238,4 +327,5 @@ TARGETS = (
         "handshake", _handshakes, take_handshake, words=(b"\x16\x03\x01", b"\x16\x03\x03", b"\x14\x03\x03")
     ),
     Target("access", lambda: [ACCESS.encode()], take_access, words=_YAML),
+    Target("orders", _orders, take_datagram, words=(MAGIC, ID, b"bravo", b"alpha", b"stop", b"pause")),
 )

@@ -104,7 +104,7 @@ def test_a_newer_version_is_refused_and_stays_as_it_is(
         # Whoever only looks sees all the rest.
         seen = see(bench.path)
         assert len(seen.pages) == len(PAGES)
-        assert [one.why for one in seen.damaged] == ["it is of version 2: install the lfield that wrote it"]
+        assert [one.why for one in seen.damaged] == ["it is of version 3: install the lfield that wrote it"]
     assert bench.path.read_bytes() == data
 
 

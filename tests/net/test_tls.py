@@ -137,7 +137,7 @@ def test_whoever_shows_no_certificate_is_told_so():
     context.check_hostname = False
     context.verify_mode = ssl.CERT_NONE
     ends = Ends(Tls(ALPHA), Tls(BRAVO))
-    ends.near = Channel(context, calls=True)
+    ends.near = Channel(context, lambda certificate, who: None, calls=True)
     ends.far = Tls(BRAVO).channel(calls=False)
     ends.heard, ends.told = {ends.near: b"", ends.far: b""}, {}
     ends.settle()
@@ -152,7 +152,10 @@ def test_an_older_tls_is_refused():
     context.verify_mode = ssl.CERT_NONE
     context.maximum_version = ssl.TLSVersion.TLSv1_2
     ends = Ends(Tls(ALPHA), Tls(BRAVO))
-    ends.near, ends.far = Channel(context, calls=True), Tls(BRAVO).channel(calls=False)
+    ends.near, ends.far = (
+        Channel(context, lambda certificate, who: None, calls=True),
+        Tls(BRAVO).channel(calls=False),
+    )
     ends.settle()
     assert "this is no TLS 1.3" in str(ends.told[ends.far])
 

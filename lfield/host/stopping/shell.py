@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Hashable
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from typing import NamedTuple, cast
@@ -63,12 +63,13 @@ class DatagramShell:
         self._core, self._authority, self._fail = core, authority, fail
         self._loop = asyncio.get_running_loop()
         self._thread: ThreadPoolExecutor | None = None
+        self._is_closed = False
         core.check, core.send = self._check, self._send
         core.later = self._later
 
-    def may_look(self, address: Hashable) -> bool:
+    def may_look(self, port: DatagramPort, address: Address) -> bool:
         """See `Reader.may_look`."""
-        return self._core.may_look(address)
+        return self._core.may_look(Sender(network_of(address), (port, address)))
 
     def received(self, port: DatagramPort, address: Address, data: bytes) -> None:
         """See `Reader.received`."""
@@ -81,6 +82,7 @@ class DatagramShell:
 
     def close(self) -> None:
         """Check no more signatures."""
+        self._is_closed = True
         if self._thread is not None:
             self._thread.shutdown(wait=False, cancel_futures=True)
 
@@ -92,6 +94,8 @@ class DatagramShell:
         self._loop.call_later(seconds, event)
 
     def _check(self, checking: Checking) -> None:
+        if self._is_closed:
+            return
         if self._thread is None:
             self._thread = ThreadPoolExecutor(1, "signatures")
         job = self._loop.run_in_executor(self._thread, _verified, checking, self._authority)

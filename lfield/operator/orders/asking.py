@@ -41,8 +41,8 @@ from lfield.wire.orders import (
 RELAY_AFTER, RELAYS = 2, 2
 #: A host gets an order signed anew at most so often.
 MOST_SIGNED = 8
-#: A confirmation within so many seconds is taken for a measurement of the round trip, where there is none.
-PROMPT = 0.5
+#: A confirmation is a measurement of the round trip where there is none, of so many seconds at most.
+PROMPT = 0.1
 #: What stands beside the hosts in a datagram at most, in bytes: reason, signature, id and framing.
 _BESIDE = 320
 
@@ -224,9 +224,9 @@ class Asking:
         sent = host.sent.get(answer.attempt)
         if not isinstance(answer, Confirmed):
             self._measure(host, answer.attempt, now)
-        elif host.trip.smoothed is None and sent is not None and now - sent <= PROMPT:
+        elif host.trip.smoothed is None and sent is not None:
             # The devices took a part of it, but it is better than no measurement.
-            self._measure(host, answer.attempt, now)
+            self._measure(host, answer.attempt, min(now, sent + PROMPT))
         if not isinstance(answer, Denied):
             host.epochs = answer.epochs
         match answer:
