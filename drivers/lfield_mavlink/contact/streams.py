@@ -59,17 +59,25 @@ LISTENED: Mapping[int, float] = {
     # A foreign setpoint lasts until our next one: a second at most.
     dialect.MAVLINK_MSG_ID_POSITION_TARGET_GLOBAL_INT: 5.0,
     dialect.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED: 5.0,
+    dialect.MAVLINK_MSG_ID_NAV_CONTROLLER_OUTPUT: 5.0,
 }
 #: What only the other autopilot has, or is of no use here: PX4 refuses to send heartbeats faster.
-ONLY_ARDUPILOT = frozenset({dialect.MAVLINK_MSG_ID_HEARTBEAT, dialect.MAVLINK_MSG_ID_EKF_STATUS_REPORT})
+ONLY_ARDUPILOT = frozenset(
+    {
+        dialect.MAVLINK_MSG_ID_HEARTBEAT,
+        dialect.MAVLINK_MSG_ID_EKF_STATUS_REPORT,
+        dialect.MAVLINK_MSG_ID_NAV_CONTROLLER_OUTPUT,
+    }
+)
 ONLY_PX4 = frozenset(
     {
         dialect.MAVLINK_MSG_ID_CURRENT_MODE,
         dialect.MAVLINK_MSG_ID_ESTIMATOR_STATUS,
     }
 )
-#: What rovers do not tell: a setpoint with its velocity.
+#: What rovers do not tell, a setpoint with its velocity; and what is read of rovers instead.
 ONLY_COPTERS = frozenset({dialect.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED})
+ONLY_ROVERS = frozenset({dialect.MAVLINK_MSG_ID_NAV_CONTROLLER_OUTPUT})
 
 
 class Streams:
@@ -135,6 +143,7 @@ class Streams:
         profile = self._vehicle.profile
         others = ONLY_ARDUPILOT if profile.px4 else ONLY_PX4
         others |= frozenset() if profile.kind == "copter" else ONLY_COPTERS
+        others |= frozenset() if profile.kind == "rover" else ONLY_ROVERS
         return [kind for kind in self._rates if kind not in others]
 
     def _missing(self) -> list[str]:

@@ -87,6 +87,7 @@ class FlightMonitor:
             dialect.MAVLINK_MSG_ID_ESTIMATOR_STATUS: self._on_estimate,
             dialect.MAVLINK_MSG_ID_POSITION_TARGET_GLOBAL_INT: self._on_global_target,
             dialect.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED: self._on_local_target,
+            dialect.MAVLINK_MSG_ID_NAV_CONTROLLER_OUTPUT: self._on_distance,
         }
         for kind, handler in handlers.items():
             vehicle.on(kind, handler)
@@ -331,6 +332,13 @@ class FlightMonitor:
                 self._told_place(place)
         elif self._is_aloft and not message.type_mask & NO_VELOCITY and all(map(math.isfinite, velocity)):
             self._target.on_told_velocity(velocity, self._now)
+
+    def _on_distance(self, message: Any) -> None:
+        """Only ArduRovers were recorded to tell 0 while they follow velocities."""
+        state = self._state
+        if state.kind == "rover" and state.position is not None:
+            here, speed = self._local(state.position), math.hypot(*state.velocity[:2])
+            self._target.on_told_distance(message.wp_dist, here, speed, self._now)
 
     def _told_place(self, place: Vector) -> None:
         position = self._state.position

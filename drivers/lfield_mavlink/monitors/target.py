@@ -3,7 +3,8 @@
 POSITION_TARGET_GLOBAL_INT and POSITION_TARGET_LOCAL_NED tell where an autopilot in the mode for setpoints is
 going. Any station may send it somewhere else: an ArduCopter follows the last setpoint, whoever sent it, and
 tells nobody (gauntlet-a). It tells no place while it follows a velocity, takes off, or holds after a takeoff;
-PX4 tells a velocity without a place then (px4-copter.d-velocity).
+PX4 tells a velocity without a place then (px4-copter.d-velocity). An ArduRover tells no velocity, but in
+NAV_CONTROLLER_OUTPUT the distance to its place: 0 while it follows a velocity (ap-rover.f-fence-landing).
 """
 
 from __future__ import annotations
@@ -25,6 +26,8 @@ SAME = 0.6
 HERE = 5.0
 #: Seconds for which a target may still be told that another has replaced: packets are late and lost.
 LATE = 3.0
+#: Metres before its goal, and its way to brake, within which a distance of 0 may be the rounded one.
+ARRIVES = 3.0
 #: Seconds in which the first of a series of targets must have been seen.
 SEEN = 1.2
 
@@ -49,6 +52,9 @@ class TargetMonitor:
         self._followed = -math.inf
         self._seen = self._by_velocity = False
         self._stops_at: float | None = None
+        # Of the places of this motion the last one that it told, and when it told a distance of 0 before it.
+        self._told: Vector | None = None
+        self._nowhere_at = -math.inf
         self._strange: tuple[float, str] | None = None
 
     def clear(self, now: float) -> None:
@@ -57,7 +63,8 @@ class TargetMonitor:
         self._earlier += [(now + LATE, place) for _, place in self._places]
         self._places.clear()
         self._began, self._followed, self._seen, self._by_velocity = now, -math.inf, False, False
-        self._strange = self._stops_at = None
+        self._strange = self._stops_at = self._told = None
+        self._nowhere_at = -math.inf
         if self._rests is not None:
             self._rests = self._rests[0], min(self._rests[1], now + LATE)
 
@@ -91,6 +98,7 @@ class TargetMonitor:
         """
         if (sent := self._sent_at(place, now)) is not None:
             self._followed = max(self._followed, sent)
+            self._told = place if math.isfinite(sent) else self._told
             # Of a goal that is ignored it tells nothing: only the last one shows that they are followed.
             self._seen = self._seen or (bool(self._places) and self._is_near(place, self._places[-1][1]))
             return
@@ -102,6 +110,22 @@ class TargetMonitor:
             far = math.dist(place[:2], here[:2])
             if far > HERE or (self._by_velocity and not begins):
                 self._find(now, f"to a place {far:.0f} m away")
+
+    def on_told_distance(self, distance: float, here: Vector | None, speed: float, now: float) -> None:
+        """A rover tells its distance to the place that it follows in metres, 0 while it follows none.
+
+        A second 0 within LATE seconds is strange, far from the place of this motion that it told last.
+        """
+        told = self._told
+        if distance > 0.0 or here is None or told is None:
+            return
+        left = math.dist(here[:2], told[:2])
+        late = any(now <= until and self._is_near(told, place) for until, place in self._earlier)
+        if late or left < ARRIVES + speed**2 / 2.0:
+            return
+        if now - self._nowhere_at <= LATE:
+            self._find(now, f"to no place, {left:.0f} m before its goal")
+        self._nowhere_at = now
 
     def on_told_velocity(self, velocity: Vector, now: float) -> None:
         """The autopilot tells that it follows a velocity."""

@@ -11,7 +11,7 @@ from pymavlink.dialects.v20 import all as dialect
 
 from lfield_sim.autopilot.autopilot import Autopilot
 from lfield_sim.autopilot.body.goals import Vector
-from lfield_sim.autopilot.flavours import Result
+from lfield_sim.autopilot.flavours import Result, Role
 from lfield_sim.autopilot.stacks.severities import severity_of
 from lfield_sim.autopilot.watch.readiness import has_home, has_origin, has_position
 from lfield_sim.mavlink.geo import Place
@@ -66,6 +66,9 @@ class Sender:
                 return goal_of(pilot) is None
             case dialect.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED:
                 return not tells_setpoint(pilot)
+            case dialect.MAVLINK_MSG_ID_NAV_CONTROLLER_OUTPUT:
+                # A rover tells it in modes that steer by themselves only (ap-rover.c-speed).
+                return not pilot.flies and pilot.role in (Role.MANUAL, Role.HOLD)
             case dialect.MAVLINK_MSG_ID_FENCE_STATUS:
                 return not pilot.value(pilot.flavour.fence.enable)
             case dialect.MAVLINK_MSG_ID_WIND:

@@ -42,7 +42,9 @@ def interfered(b, message, *, after, pause=0.2, known=True):
     [
         ("ardupilot", "copter", (0.0, 0.0, 1.0), "another station has sent it elsewhere, at 1.0 m/s"),
         ("px4", "copter", (-2.0, -2.0, 0.0), "another station has sent it elsewhere, at 2.8 m/s"),
-        ("ardupilot", "rover", (-1.0, -1.0, 0.0), "m from its goal it goes elsewhere, at 1."),
+        ("ardupilot", "rover", (-1.0, -1.0, 0.0), "another station has sent it elsewhere, to no place"),
+        ("ardupilot", "rover", (1.5, 0.5, 0.0), "another station has sent it elsewhere, to no place"),
+        ("ardupilot", "rover", (0.0, 0.0, 0.0), "another station has sent it elsewhere, to no place"),
         ("ardupilot", "copter", (2.0, 1.0, 0.0), "another station has sent it elsewhere, at 2.2 m/s"),
         ("ardupilot", "copter", (0.0, 0.0, 0.0), "another station has sent it elsewhere, at 0.0 m/s"),
         ("px4", "rover", (-1.0, -1.0, 0.0), "m from its goal it goes elsewhere, at 1."),
@@ -215,6 +217,61 @@ def test_velocities_are_the_same_or_bounded(sent, told, strange):
     monitor.on_velocity(sent, 0.0)
     monitor.on_told_velocity(told, 0.2)
     assert bool(monitor.on_guided(1.0)) == strange
+
+
+def told_distances(*told, here=HOME, seen=True, goal=GOAL):
+    """What is found when a rover tells these distances, five in a second, on its way to a goal."""
+    monitor = TargetMonitor(level=False)
+    monitor.clear(0.0)
+    monitor.on_place(goal, 0.0, HOME)
+    if seen:
+        monitor.on_told_place(goal, 0.5, HOME, aloft=False)
+    for number, distance in enumerate(told):
+        monitor.on_told_distance(distance, here, 2.0, 1.0 + number / 5)
+    return monitor.on_guided(9.0)
+
+
+def test_a_rover_that_tells_no_distance_to_a_far_goal_follows_velocities():
+    """NAV_CONTROLLER_OUTPUT of ap-rover.f-fence-landing: 34, 33, 33, then 0 while it follows velocities."""
+    assert told_distances(59, 59, 0, 0) == "to no place, 60 m before its goal"
+    assert told_distances(59, 0, 59, 0) != "", "the own goal is sent again in between"
+    assert told_distances(59, 0, *[59] * 20, 0) == "", "these are too far apart"
+    assert told_distances(59, 59, 58, 57) == ""
+    assert told_distances(0, 0, 0, seen=False) == "", "it has not taken the goal yet"
+    assert told_distances(2, 0, 0, here=(58.0, 0.0, 0.0)) == "", "it arrives"
+    assert told_distances(0, 0, here=None) == ""
+
+
+def test_a_rover_that_has_arrived_and_has_not_taken_its_next_goal_follows_no_velocity():
+    monitor = TargetMonitor(level=False)
+    monitor.clear(0.0)
+    monitor.on_place(HOME, 0.0, HOME)
+    monitor.on_told_place(HOME, 0.2, HOME, aloft=False)
+    monitor.on_place(GOAL, 3.0, HOME)
+    for at_ in (3.2, 3.4, 3.6):
+        monitor.on_told_distance(0, HOME, 0.0, at_)
+    assert monitor.on_guided(9.0) == ""
+    monitor.on_told_place(GOAL, 4.0, HOME, aloft=False)
+    for at_ in (4.1, 4.3):
+        monitor.on_told_distance(0, HOME, 0.0, at_)
+    assert monitor.on_guided(9.0) == "to no place, 60 m before its goal"
+
+
+def test_a_goal_told_by_the_motion_before_is_not_the_same_goal_again():
+    monitor = TargetMonitor(level=False)
+    monitor.clear(0.0)
+    monitor.on_place(GOAL, 0.0, HOME)
+    monitor.on_velocity((1.0, 0.0, 0.0), 1.0)
+    for at_ in (1.1, 1.3):
+        monitor.on_told_distance(0, HOME, 2.0, at_)
+    monitor.on_place(GOAL, 1.5, HOME)
+    monitor.on_told_place(GOAL, 1.6, HOME, aloft=False)
+    for at_ in (1.7, 1.9, 2.1):
+        monitor.on_told_distance(0, HOME, 2.0, at_)
+    assert monitor.on_guided(9.0) == ""
+    for at_ in (5.7, 5.9):
+        monitor.on_told_distance(0, HOME, 2.0, at_)
+    assert monitor.on_guided(9.0) != ""
 
 
 def test_on_the_ground_a_target_of_long_ago_means_nothing():

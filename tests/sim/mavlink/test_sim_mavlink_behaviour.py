@@ -339,3 +339,24 @@ def test_vehicles_are_put_apart_from_the_start_and_may_be_carried():
     assert (c.ask(32).x, c.ask(32).y) == (2.0, 0.0), "and carried from there"
     c.up()
     assert Place().local(c.ask(33).lat, c.ask(33).lon) == pytest.approx((32.0, -40.0), abs=0.1)
+
+
+def test_a_rover_tells_its_distance_to_a_place_and_0_while_it_follows_a_velocity():
+    """As in ap-rover.c-speed and ap-rover.f-fence-breach; in HOLD it tells none."""
+    c = Client("rover")
+    kind = dialect.MAVLINK_MSG_ID_NAV_CONTROLLER_OUTPUT
+    assert c.command(STREAM, kind, 2e5) == ACCEPTED
+
+    def told():
+        c.heard.clear()
+        c.wait(1.0)
+        return [m.wp_dist for m in c.heard if m.get_msgId() == kind]
+
+    assert told() == [], "it is in MANUAL or HOLD"
+    assert c.command(MODE, 1, 15) == ACCEPTED
+    assert c.command(ARM, 1) == ACCEPTED
+    assert set(told()) == {0}
+    c.target(POSITION, place=(40.0, 0.0, 0.0))
+    assert all(30 < distance <= 40 for distance in told())
+    c.target(VELOCITY, velocity=(1.0, 0.0, 0.0))
+    assert set(told()) == {0}

@@ -16,6 +16,7 @@ from lfield_sim.mavlink.command import Answer, Command
 from lfield_sim.mavlink.geo import Place
 from lfield_sim.mavlink.services.service import Service
 from lfield_sim.mavlink.telemetry.condition import autopilot_version, fence_status, home_position
+from lfield_sim.mavlink.telemetry.targets import distance_of
 
 #: Messages that PX4 says yes to and that no client here can read: protocol version, component information.
 UNREAD = (300, 395, 397)
@@ -97,8 +98,9 @@ class Information(Service):
         return [fence_status(self.autopilot, self.place)] if enabled else []
 
     def _navigation(self) -> Any:
-        """NAV_CONTROLLER_OUTPUT 62: where it goes is not told."""
-        return dialect.MAVLink_nav_controller_output_message(0.0, 0.0, 0, 0, 0, 0.0, 0.0, 0.0)
+        """NAV_CONTROLLER_OUTPUT 62: of all that only the distance to where it goes, 0 for nowhere."""
+        distance = distance_of(self.autopilot)
+        return dialect.MAVLink_nav_controller_output_message(0.0, 0.0, 0, 0, distance, 0.0, 0.0, 0.0)
 
     # -- logs -----------------------------------------------------------------------------------------
 

@@ -44,6 +44,12 @@ def goal_of(autopilot: Autopilot) -> Vector | None:
     return curve[-1] if curve else goal.place
 
 
+def distance_of(autopilot: Autopilot) -> int:
+    """Whole metres over ground to the place that it tells, 0 for none (ap-rover.f-fence-breach)."""
+    goal = goal_of(autopilot)
+    return 0 if goal is None else min(65535, int(math.dist(goal[:2], autopilot.vehicle.place[:2])))
+
+
 def tells_setpoint(autopilot: Autopilot) -> bool:
     """Whether it tells its setpoint now: PX4 always, an ArduCopter in GUIDED but for an attitude."""
     if autopilot.flavour.needs_stream:
