@@ -10,7 +10,7 @@ from dataclasses import replace
 import pytest
 
 from lfield.host.host import Host
-from lfield.host.visitors import NEWER, PAUSE, STOP
+from lfield.host.stopping.stops import HOLDS_OF, NEWER
 from lfield.mobility.neighbours import Neighbourhood
 from lfield.simulate.fleet import Fleet
 from lfield.simulate.judging.judge import Judge
@@ -122,7 +122,7 @@ def test_an_order_that_comes_late_does_not_end_a_stop_that_was_pressed_after_it(
     assert held() == [True] * 3
     fleet.run(5.0)
     assert held() == [True] * 3
-    why = NEWER.format(*[{"stop": STOP, "pause": PAUSE}[hold]] * 2)
+    why = NEWER.format(HOLDS_OF[hold], HOLDS_OF[hold])
     assert any(why in text for _, _, text in fleet.log)
     judge.look()
     assert not judge.breaches
