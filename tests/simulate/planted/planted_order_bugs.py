@@ -10,11 +10,13 @@ from planted_bugs import Bug, Patch
 
 from lfield.devices.guards import Guards
 from lfield.host.core import HostCore
+from lfield.host.orders.executed import Executed, Standing
+from lfield.host.stopping.stops import Stops
 from lfield.host.team import words
-from lfield.host.visitors import Visitors
 from lfield.journal.pages import Paused
 from lfield.simulate.stories.drawing import crowd, under_orders
 from lfield.simulate.stories.story import FOR_EVER, Story, plain
+from lfield.wire.orders import HOLDS, Kind
 
 
 def ordered(seed: int) -> Story:
@@ -27,11 +29,11 @@ def ordered(seed: int) -> Story:
 
 
 def a_stop_is_forgotten_by_a_restart(patch: Patch) -> None:
-    patch.setattr(Visitors, "stay_stopped", lambda self: None)
+    patch.setattr(Stops, "stay_stopped", lambda self: None)
 
 
 def a_pause_is_forgotten_by_a_restart(patch: Patch) -> None:
-    patch.setattr(words, "Paused", lambda on: Paused(False))
+    patch.setattr(words, "Paused", lambda on, order: Paused(False, order))
 
 
 def a_stop_bars_nobody(patch: Patch) -> None:
@@ -57,7 +59,13 @@ def hasty(seed: int) -> Story:
 
 
 def an_order_that_comes_late_ends_a_newer_stop(patch: Patch) -> None:
-    patch.setattr(Visitors, "_is_late", lambda self, hold, lift, link: False)
+    standing = Executed.standing
+
+    def any_epoch(self: Executed, kind: Kind, id: bytes, epoch: bytes) -> Standing:
+        found = standing(self, kind, id, epoch)
+        return "new" if found in ("old", "unknown") and kind not in HOLDS else found
+
+    patch.setattr(Executed, "standing", any_epoch)
 
 
 def only_neighbours_are_called(patch: Patch) -> None:
