@@ -14,7 +14,10 @@ from lfield.host.orders.executed import Executed, Standing
 from lfield.host.stopping.stops import Stops
 from lfield.host.team import words
 from lfield.journal.pages import Paused
-from lfield.simulate.stories.drawing import crowd, under_orders
+from lfield.mobility.core import Mobility
+from lfield.mobility.departures import UNREACHABLE
+from lfield.mobility.effects import Effect
+from lfield.simulate.stories.drawing import crowd, under_orders, wrecked
 from lfield.simulate.stories.story import FOR_EVER, Story, plain
 from lfield.wire.orders import HOLDS, Kind
 
@@ -68,6 +71,18 @@ def an_order_that_comes_late_ends_a_newer_stop(patch: Patch) -> None:
     patch.setattr(Executed, "standing", any_epoch)
 
 
+def a_coordinator_that_was_given_up_continues(patch: Patch) -> None:
+    def forget(self: Mobility, agent: str, detail: str) -> tuple[list[int], list[Effect]]:
+        doubted = [copy for copy in self._copies.of(agent) if copy.doubt and copy.state == "PREPARED"]
+        effects: list[Effect] = []
+        for copy in doubted:
+            copy.doubt = ""
+            effects += self._departures._resume(copy, UNREACHABLE, detail)
+        return [copy.generation for copy in doubted], effects
+
+    patch.setattr(Mobility, "forget", forget)
+
+
 def only_neighbours_are_called(patch: Patch) -> None:
     def wanted(self: HostCore) -> set[str]:
         return {*self.hearsay.wanted(self._clock.monotonic())} - {self.name}
@@ -93,6 +108,13 @@ ORDER_BUGS = [
         "stop",
         55,
         hasty,
+    ),
+    _bug(
+        a_coordinator_that_was_given_up_continues,
+        "a person has declared it lost, and it runs",
+        "forget",
+        1,
+        wrecked,
     ),
     _bug(
         only_neighbours_are_called,
