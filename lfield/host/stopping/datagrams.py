@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import hashlib
 from collections import OrderedDict
-from collections.abc import Callable, Collection, Hashable
+from collections.abc import Callable, Collection
 from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import NamedTuple, TypeVar
@@ -105,9 +105,9 @@ class OrderDatagrams:
 
     # --- in -------------------------------------------------------------------------------------------
 
-    def may_look(self, address: Hashable) -> bool:
+    def may_look(self, sender: Sender) -> bool:
         """Whether a datagram from there is to be given to `came`; it costs least to ask first."""
-        return self._rations.may_look(address, self._now())
+        return self._rations.may_look(sender, self._now())
 
     def came(self, data: bytes, origin: Origin) -> None:
         """A datagram has come. Whatever is no order for this host, or to be relayed, is dropped."""

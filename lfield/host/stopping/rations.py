@@ -1,9 +1,10 @@
 """How many datagrams and signatures a host looks at, and of whom. Pure: times in seconds are given.
 
 A check of a signature takes 0.15 ms of a processor. A flood must take neither the processor nor the checks of
-a person who stops, so there are four limits, each a bucket that fills with time:
+a person who stops, so there are limits, each a bucket that fills with time:
 
-- each sender (address and port) has its own, for datagrams that are looked at, and one for checks;
+- each sender (address and port) has its own, for datagrams that are looked at, and one for checks, and all
+  senders of one address together have one for those that are looked at;
 - all senders of one address (of a /64 with IPv6) have at most half of what is left to strangers;
 - strangers that name a certificate known here have a room of their own, and all others another one;
 - a sender whose signature was good once has a bucket with its certificate, which others can empty only with
@@ -27,8 +28,8 @@ class Rate(NamedTuple):
     each_second: float
 
 
-#: Datagrams of one sender that are decoded; more are dropped unread.
-LOOKS = Rate(64.0, 32.0)
+#: Datagrams of one sender, and of all senders of one address, that are decoded; more are dropped unread.
+LOOKS, ADDRESS_LOOKS = Rate(64.0, 32.0), Rate(256.0, 128.0)
 #: Checks of one sender whose signature was never good here, of one address, of all that name a certificate
 #: that is known here, and of all others, whose certificates take a check too.
 SENDER, ADDRESS, KNOWN, UNKNOWN = Rate(6.0, 3.0), Rate(25.0, 20.0), Rate(50.0, 40.0), Rate(50.0, 40.0)
@@ -67,17 +68,19 @@ class Rations:
     """What is left to the senders of datagrams."""
 
     def __init__(self) -> None:
-        self._looks = _Buckets(LOOKS)
+        self._looks, self._address_looks = _Buckets(LOOKS), _Buckets(ADDRESS_LOOKS)
         self._senders, self._networks = _Buckets(SENDER), _Buckets(ADDRESS)
         self._strangers = {True: _Buckets(KNOWN), False: _Buckets(UNKNOWN)}
         self._checks = _Buckets(PROVEN)
         self._proven: OrderedDict[tuple[Sender, bytes], None] = OrderedDict()
 
-    def may_look(self, address: Hashable, now: float) -> bool:
+    def may_look(self, sender: Sender, now: float) -> bool:
         """Whether a datagram from there is decoded at all; then it counts."""
-        if self._looks.level(address, now) < 1.0:
+        network = sender.network
+        if min(self._looks.level(sender, now), self._address_looks.level(network, now)) < 1.0:
             return False
-        self._looks.take(address, now)
+        self._looks.take(sender, now)
+        self._address_looks.take(network, now)
         return True
 
     def may_check(self, sender: Sender, signer: bytes, now: float, *, is_known: bool) -> bool:

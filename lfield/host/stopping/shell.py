@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Hashable
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from typing import NamedTuple, cast
@@ -67,9 +67,9 @@ class DatagramShell:
         core.check, core.send = self._check, self._send
         core.later = self._later
 
-    def may_look(self, address: Hashable) -> bool:
+    def may_look(self, port: DatagramPort, address: Address) -> bool:
         """See `Reader.may_look`."""
-        return self._core.may_look(address)
+        return self._core.may_look(Sender(network_of(address), (port, address)))
 
     def received(self, port: DatagramPort, address: Address, data: bytes) -> None:
         """See `Reader.received`."""

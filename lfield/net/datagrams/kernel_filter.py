@@ -27,10 +27,12 @@ _LD, _LDH, _LDB, _LEN, _AND, _JEQ, _JGE, _JGT, _RET = 0x20, 0x28, 0x30, 0x80, 0x
 #: Where the IP header begins for a load, and the size of the UDP header, in bytes.
 _NET, _UDP = 0xFFF00000, 8
 _ALL, _NONE = 0xFFFFFFFF, 0
+#: The port of a `Flooder` that stands for all ports of its address.
+EVERY_PORT = 0
 
 
 class Flooder(NamedTuple):
-    """A sender that sends too much: its address as packed bytes (4 or 16), and its port."""
+    """A sender that sends too much: its address as packed bytes (4 or 16), and its port or EVERY_PORT."""
 
     address: bytes
     port: int
@@ -86,11 +88,6 @@ def _senders(senders: list[Flooder], place: int) -> list[tuple[int, int, int, in
     code = []
     for one in senders:
         word = int.from_bytes(one.address[-4:])
-        code += [
-            (_LD, 0, 0, place),
-            (_JEQ, 0, 3, word),
-            (_LDH, 0, 0, 0),
-            (_JEQ, 0, 1, one.port),
-            (_RET, 0, 0, _NONE),
-        ]
+        port = [] if one.port == EVERY_PORT else [(_LDH, 0, 0, 0), (_JEQ, 0, 1, one.port)]
+        code += [(_LD, 0, 0, place), (_JEQ, 0, len(port) + 1, word), *port, (_RET, 0, 0, _NONE)]
     return [*code, (_RET, 0, 0, _ALL)]

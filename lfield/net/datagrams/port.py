@@ -8,15 +8,17 @@ from __future__ import annotations
 
 import asyncio
 import socket
-from collections.abc import Callable, Hashable
+from collections.abc import Callable
 from contextlib import suppress
 from typing import Protocol
 
-from lfield.net.datagrams.kernel_filter import MOST, SECONDS, SHORTEST, Flooder, attach, flooder
+from lfield.net.datagrams.kernel_filter import EVERY_PORT, MOST, SECONDS, SHORTEST, Flooder, attach, flooder
 from lfield.wire.orders import MAGIC, MAX_DATAGRAM
 
 #: So many datagrams at most are read in a turn of the event loop, and for so many seconds in each WINDOW.
 AT_ONCE, WINDOW, SHARE = 32, 0.02, 0.004
+#: An address is dropped with all of its ports when so many of them have sent too much.
+PORTS = 4
 #: What the kernel holds, in bytes, so that a real order is not lost while others are dropped.
 BUFFER = 1 << 20
 
@@ -28,7 +30,7 @@ Address = tuple[str, int] | tuple[str, int, int, int]
 class Reader(Protocol):
     """Where datagrams go."""
 
-    def may_look(self, address: Hashable) -> bool:
+    def may_look(self, port: DatagramPort, address: Address) -> bool:
         """Whether a datagram from there is to be read further."""
 
     def received(self, port: DatagramPort, address: Address, data: bytes) -> None:
@@ -47,6 +49,11 @@ class DatagramPort:
         self._flooders: dict[Flooder, float] = {}
         attach(made, ())
         self._loop.add_reader(made.fileno(), self._read)
+
+    @property
+    def flooders(self) -> list[Flooder]:
+        """The senders whose datagrams the kernel drops now."""
+        return list(self._flooders)
 
     def send(self, address: Address, data: bytes) -> None:
         """Send, or drop what the kernel does not take now: the desk repeats."""
@@ -84,7 +91,7 @@ class DatagramPort:
                 return
             if not (SHORTEST <= len(data) <= MAX_DATAGRAM and data.startswith(MAGIC)):
                 continue
-            if may_look(address):
+            if may_look(self, address):
                 self._reader.received(self, address, data)
             else:
                 self._drop(address)
@@ -92,6 +99,13 @@ class DatagramPort:
     def _drop(self, address: Address) -> None:
         """Have the kernel drop what this sender sends in the next seconds."""
         found = flooder(address[0], address[1])
+        same = [one for one in self._flooders if one.address == found.address]
+        if any(one.port == EVERY_PORT for one in same):
+            return
+        if len(same) >= PORTS:
+            for one in same:
+                del self._flooders[one]
+            found = found._replace(port=EVERY_PORT)
         if found not in self._flooders and len(self._flooders) < MOST:
             if not self._flooders:
                 self._loop.call_later(SECONDS, self._forgive)

@@ -9,6 +9,7 @@ from order_world import AT, Desk, World, authority, keys, person
 from lfield.authority.identity import Right
 from lfield.authority.judge import Revoked
 from lfield.authority.orders.signing import Signer, verified_order
+from lfield.host.stopping.rations import Sender
 from lfield.wire.orders import (
     MAX_DATAGRAM,
     Confirmed,
@@ -351,7 +352,7 @@ def test_a_flood_of_forged_datagrams_from_one_address_leaves_room_for_a_real_sto
     assert isinstance(signed, SignedOrder)
     looked = 0
     for number in range(20_000):
-        if alpha.datagrams.may_look("flooder"):
+        if alpha.datagrams.may_look(Sender("there", "flooder")):
             looked += 1
             forged = replace(signed, signature=number.to_bytes(64))
             alpha.came(encode_datagram(forged), "flooder", "there")
@@ -364,6 +365,14 @@ def test_a_flood_of_forged_datagrams_from_one_address_leaves_room_for_a_real_sto
     assert desk.done_at is not None
     assert desk.done_at - 2.0 < 0.2
     assert alpha.executed == [("stop", "fog")]
+
+
+def test_of_a_flood_from_thousands_of_ports_of_one_address_few_are_looked_at():
+    world = taught(World("alpha"))
+    datagrams = world.posts["alpha"].datagrams
+    looked = sum(datagrams.may_look(Sender("there", number % 3_000)) for number in range(20_000))
+    assert looked <= 256
+    assert datagrams.may_look(Sender("elsewhere", "desk"))
 
 
 def test_a_flood_from_thousands_of_ports_takes_no_room_of_a_sender_that_was_verified_before():

@@ -8,8 +8,8 @@ from collections.abc import Callable
 
 import pytest
 
-from lfield.net.datagrams.kernel_filter import Flooder, attach, flooder
-from lfield.net.datagrams.port import Address, DatagramPort, beside, network_of
+from lfield.net.datagrams.kernel_filter import EVERY_PORT, Flooder, attach, flooder
+from lfield.net.datagrams.port import PORTS, Address, DatagramPort, beside, network_of
 from lfield.net.tcp import TcpTransport
 from lfield.net.transport import split_address
 from lfield.wire.orders import MAGIC, MAX_DATAGRAM
@@ -24,7 +24,7 @@ class Noted:
         self.came: list[bytes] = []
         self.left: dict[object, int] = {}
 
-    def may_look(self, address: object) -> bool:
+    def may_look(self, port: DatagramPort, address: Address) -> bool:
         left = self.left.get(address, 1000)
         self.left[address] = left - 1
         return left > 0
@@ -47,9 +47,9 @@ async def until(fact: Callable[[], bool]) -> None:
             await asyncio.sleep(0.002)
 
 
-def sender() -> socket.socket:
+def sender(at: str = "127.0.0.1") -> socket.socket:
     made = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-    made.bind(("127.0.0.1", 0))
+    made.bind((at, 0))
     made.settimeout(20.0)
     return made
 
@@ -135,6 +135,31 @@ def test_a_flood_that_is_refused_does_not_hold_up_others() -> None:
         floods.close()
         asks.close()
 
+    on_loop(story)
+
+
+def test_a_flood_from_many_ports_of_one_address_is_dropped_with_all_ports() -> None:
+    async def story() -> None:
+        noted, asks = Noted(), sender("127.0.0.2")
+        floods = [sender() for _ in range(PORTS + 2)]
+        made = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+        made.bind(("127.0.0.1", 0))
+        port = DatagramPort(beside(made), noted, float)
+        for one in floods[: PORTS + 1]:
+            noted.left[one.getsockname()] = 0
+            one.sendto(SOUND, made.getsockname())
+        await until(lambda: [found.port for found in port.flooders] == [EVERY_PORT])
+        # Of this port nothing came before.
+        floods[-1].sendto(SOUND, made.getsockname())
+        asks.sendto(SOUND + b"!", made.getsockname())
+        await until(lambda: noted.came == [SOUND + b"!"])
+        port.close()
+        for each in (made, asks, *floods):
+            each.close()
+
+    with sender() as tried:
+        if not attach(tried, []):
+            pytest.skip("this kernel has no socket filters")
     on_loop(story)
 
 
