@@ -6,14 +6,17 @@ import math
 from dataclasses import replace
 
 import pytest
-from quorum_host import Copy, Life
+from msgspec import structs
+from quorum_copies import Copy, Ends
+from quorum_host import Life
 
 from lfield.quorum.core import Quorum
 from lfield.quorum.effects import Effect, Tell
 from lfield.quorum.lease import Lease
 from lfield.quorum.members import Members
 from lfield.quorum.recovery import Attempt, Recoveries
-from lfield.wire.quorum import Ack, Heartbeat
+from lfield.quorum.terminations import Terminations
+from lfield.wire.quorum import Ack, Heartbeat, Propose, Sought
 
 Patch = pytest.MonkeyPatch
 
@@ -79,3 +82,21 @@ def tells_fences_once(patch: Patch) -> None:
 
 def asks_nobody_first(patch: Patch) -> None:
     patch.setattr(Recoveries, "_has_heard_enough", lambda self, attempt, now: True)
+
+
+def promises_in_spite_of_a_known_termination(patch: Patch) -> None:
+    on_propose, sought = Quorum._on_propose, Quorum._sought
+
+    def promises(self: Quorum, host: str, message: Propose, now: float) -> list[Effect]:
+        return on_propose(self, host, structs.replace(message, start=2**62), now)
+
+    def silent(self: Quorum, agent: str, now: float) -> Sought:
+        return structs.replace(sought(self, agent, now), ended=None)
+
+    patch.setattr(Quorum, "_on_propose", promises)
+    patch.setattr(Quorum, "_sought", silent)
+    patch.setattr(Terminations, "all", property(lambda self: []))
+
+
+def knows_nothing_of_a_termination(patch: Patch) -> None:
+    patch.setattr(Ends, "saved", lambda self, agent, copy: None)

@@ -1,7 +1,7 @@
 """One life of a host: the real quorum core, and a small model of what mobility and a journal do beside it.
 
-A coordinator is RUN here, PREPARED to leave, or MOVED. What is decided about one goes out when the pages that
-were written before are on disk; a life that ends takes with it what was not.
+A coordinator is RUN here, PREPARED to leave, MOVED, or EXITED: it has terminated. What is decided about one
+goes out when the pages that were written before are on disk; a life that ends takes with it what was not.
 """
 
 from __future__ import annotations
@@ -9,14 +9,16 @@ from __future__ import annotations
 import random
 from collections import deque
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, NamedTuple
+from dataclasses import replace
+from typing import TYPE_CHECKING
 
+from quorum_copies import Copy, Ends, Inquire, Transfer, Verdict
 from quorum_story import LEASE
 
-from lfield.quorum.effects import Bar, Effect, Saved, TakeOver, Tell
+from lfield.quorum.effects import Bar, Effect, Saved, TakeOver, Tell, Terminate
 from lfield.quorum.members import Members
-from lfield.wire.quorum import Place, QuorumMessage
+from lfield.wire.coordinators import Ended, EndedAck
+from lfield.wire.quorum import Place, Promise, Propose, QuorumMessage
 
 if TYPE_CHECKING:
     from quorum_world import Computer, World
@@ -25,42 +27,6 @@ if TYPE_CHECKING:
 STRIDE = 65536
 #: A host that does more than so many ticks in one second does nothing else.
 BUSY = 100
-
-
-class Transfer(NamedTuple):
-    """A coordinator, under way."""
-
-    agent: str
-    generation: int
-    sequence: int
-
-
-class Inquire(NamedTuple):
-    """Did this transfer arrive?"""
-
-    agent: str
-    generation: int
-    sequence: int
-
-
-class Verdict(NamedTuple):
-    """It did, or it never will."""
-
-    agent: str
-    generation: int
-    sequence: int
-    taken: bool
-
-
-@dataclass(frozen=True)
-class Copy:
-    """What a host has of a coordinator; `kept` once that is on its disk."""
-
-    generation: int
-    sequence: int
-    state: str
-    to: str = ""
-    kept: bool = False
 
 
 class Life:
@@ -85,6 +51,7 @@ class Life:
         self._until = float("-inf")
         self._here: dict[str, float] = {}
         self._asked: dict[str, float] = {}
+        self.ends = Ends(self.name, world.story.members)
 
     # --- time -----------------------------------------------------------------------------------------
 
@@ -160,6 +127,9 @@ class Life:
     def _written(self, agent: str, pages: dict[tuple, object]) -> None:
         if not self.is_over:
             self.computer.disk.update(pages)
+            for key, page in pages.items():
+                if key[0] == "copy" and isinstance(page, Copy) and page.state == "EXITED":
+                    self._judge.terminated(agent, page.generation, self.name)
             self.enter(lambda: self._release(agent))
 
     def _release(self, agent: str) -> None:
@@ -187,6 +157,8 @@ class Life:
                     self._tell(effect.host, effect.message)
                 case TakeOver():
                     self._take_over(effect.agent, effect.generation)
+                case Terminate():
+                    self._learn_end(effect.ended)
 
     def _tell(self, host: str, message: QuorumMessage) -> None:
         agent = getattr(message, "agent", None)
@@ -207,7 +179,8 @@ class Life:
         self.write(agent, {("fence", agent): generation})
 
     def _take_over(self, agent: str, generation: int) -> None:
-        self._judge.counts["recoveries"] += 1
+        knew = {self.name: self.ends.known(agent, self.copies.get(agent))}
+        self._judge.recovers(agent, self.copies[agent].generation, generation, knew)
         self._keep(agent, Copy(generation, 0, "RUN"))
 
     def saved(self, agent: str) -> Saved | None:
@@ -215,6 +188,8 @@ class Life:
         copy = self.copies.get(agent)
         if copy is None:
             return None
+        if copy.state == "EXITED":
+            return self.ends.saved(agent, copy)
         place = Place(copy.generation, copy.sequence, copy.state != "RUN")
         return Saved(place, self.lives(agent), self.world.story.interval)
 
@@ -263,9 +238,18 @@ class Life:
     def well(self, agent: str, below: int) -> float | None:
         """Since when a start before that one has been here under a lease; None if none is."""
         copy = self.copies.get(agent)
-        if copy is None or copy.generation >= below or not self._may_act(agent) or self._leased is None:
+        if copy is None or copy.generation >= below or self._leased is None:
+            return None
+        if not (self._may_act(agent) or self._has_unsettled_end(agent)):
             return None
         return max(self._leased, self._here.get(agent, 0.0))
+
+    def _has_unsettled_end(self, agent: str) -> bool:
+        """Whether it terminated here, and this host keeps others from recovering it under its lease."""
+        saved = self.saved(agent)
+        if saved is None or saved.final or self.core.barred(agent, saved.place.generation):
+            return False
+        return self.core.lease.holds(self.clock)
 
     def _step(self) -> None:
         self.later(self._dice.uniform(0.05, 0.6), self._step)
@@ -275,12 +259,17 @@ class Life:
                 continue
             if copy.state == "PREPARED" and self.clock >= self._asked.get(agent, 0.0) + 1.0:
                 self._ask(agent, copy)
+            elif copy.state == "EXITED" and copy.to == self.name:
+                self._tell_end(agent, copy)
             elif self.lives(agent):
                 self._work(agent, copy)
 
     def _work(self, agent: str, copy: Copy) -> None:
         others = [name for name in self.world.hosts if name != self.name]
-        if others and self._dice.random() < 0.3:
+        ends = self.world.story.ends
+        if ends and self._may_act(agent) and self._dice.random() < ends:
+            self._keep(agent, Copy(copy.generation, copy.sequence, "EXITED", self.name))
+        elif others and self._dice.random() < 0.3:
             self._leave(agent, copy, self._dice.choice(others))
         else:
             self._act(agent)
@@ -305,15 +294,51 @@ class Life:
         self._asked[agent] = self.clock
         self.world.send(self.name, copy.to, Inquire(agent, copy.generation, copy.sequence))
 
+    def _tell_end(self, agent: str, copy: Copy) -> None:
+        """Repeat a termination to every host that has not confirmed it."""
+        for host in self.world.hosts.keys() - self.ends.confirmed_by(agent) - {self.name}:
+            self.world.send(self.name, host, copy.ended(agent))
+
+    def _learn_end(self, ended: Ended) -> None:
+        """A termination elsewhere comes to the disk, and is then confirmed."""
+        copy = self.copies.get(ended.agent)
+        if copy is None or copy.generation < ended.generation or copy.state in ("PREPARED", "MOVED"):
+            if copy is None or copy.generation <= ended.generation:
+                self._keep(ended.agent, Copy(ended.generation, 0, "EXITED", ended.host))
+        elif copy.state == "RUN" and copy.generation == ended.generation:
+            return
+        answer = EndedAck(ended.agent, ended.generation)
+        self.after(ended.agent, lambda: self.world.send(self.name, ended.host, answer))
+
     def hear(self, sender: str, message: object) -> None:
         """A message has come."""
+        self.ends.note(message)
         match message:
             case Transfer() | Inquire():
                 self._decide(sender, message)
             case Verdict():
                 self._learn(message)
+            case Ended():
+                if not self.core.is_delayed(message, self.clock):
+                    self._learn_end(message)
+            case EndedAck():
+                copy = self.copies.get(message.agent)
+                if copy and copy.state == "EXITED" and copy.generation == message.generation:
+                    self.ends.confirmed_by(message.agent).add(sender)
+            case Propose():
+                self._promise(sender, message)
             case _:
                 self.carry_out(self.core.receive(sender, message, self.clock))
+
+    def _promise(self, sender: str, message: Propose) -> None:
+        """The judge sees which termination a member knew before it promised."""
+        knew = self.ends.known(message.agent, self.copies.get(message.agent))
+        effects = self.core.receive(sender, message, self.clock)
+        told = [effect.message for effect in effects if isinstance(effect, Tell)]
+        given = [m for m in told if isinstance(m, Promise) and m.ended is None]
+        if any(promise.fence == message.generation for promise in given):
+            self._judge.promises(message.agent, message.generation, self.name, knew)
+        self.carry_out(effects)
 
     def _decide(self, sender: str, asked: Transfer | Inquire) -> None:
         """A number that is not above the highest seen gets its old answer; what is barred is not taken in."""
@@ -332,7 +357,11 @@ class Life:
 
     def _takes(self, agent: str, generation: int) -> bool:
         copy = self.copies.get(agent)
-        return not self.core.barred(agent, generation) and (copy is None or copy.generation <= generation)
+        if self.core.barred(agent, generation):
+            return False
+        if copy is not None and copy.state == "EXITED":
+            return copy.generation < generation
+        return copy is None or copy.generation <= generation
 
     def _learn(self, verdict: Verdict) -> None:
         copy = self.copies.get(verdict.agent)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import random
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 #: The lease of all stories, in seconds.
@@ -36,6 +36,8 @@ class Story:
     until: float
     #: Links come back, and one goes, at the worst moment.
     ambush: bool
+    #: How likely a coordinator terminates in each of its steps.
+    ends: float = 0.0
 
 
 def drawn(seed: int, hosts: tuple[int, int] = (1, 7), faults: int = 12, until: float = 40.0) -> Story:
@@ -52,6 +54,15 @@ def drawn(seed: int, hosts: tuple[int, int] = (1, 7), faults: int = 12, until: f
     befalls = sorted(_fault(dice, kinds, names, until) for _ in range(dice.randint(0, faults)))
     interval = dice.choice([0.5, 2.0, 3.0, 5.0])
     return Story(seed, names, rates, members, agents, interval, tuple(befalls), until, dice.random() < 0.5)
+
+
+def ending(seed: int) -> Story:
+    """One of three hosts whose coordinators terminate; two hosts at a time have no link for seven seconds."""
+    dice = random.Random(f"ending {seed}")
+    story = drawn(seed, hosts=(3, 3), faults=0, until=30.0)
+    cuts = tuple(Fault(at, "link", tuple(dice.sample(story.hosts, 2)), 7.0) for at in (3.0, 11.0, 19.0))
+    interval = dice.choice([0.5, 2.0])
+    return replace(story, members=story.hosts, interval=interval, faults=cuts, ambush=False, ends=0.1)
 
 
 def _fault(dice: random.Random, kinds: list[str], names: tuple[str, ...], until: float) -> Fault:

@@ -1,6 +1,7 @@
 """No two copies act, who is well is left alone, and all goes on when all is well, whatever befalls a team.
 
-The same judge finds each of nine bugs that are planted in what leases and fences rest on.
+The same judge finds each of nine bugs that are planted in what leases and fences rest on, and those in what
+keeps a coordinator that has terminated from being recovered.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ import quorum_bugs as bugs
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 from quorum_judge import Breach
-from quorum_story import drawn
+from quorum_story import Story, drawn, ending
 from quorum_world import World, judged
 
 SEEDS = st.integers(0, 1 << 32)
@@ -63,6 +64,34 @@ def test_a_team_acts_again_in_time_when_a_holder_is_gone_for_good(seed: int) -> 
     assert world.judge.acted["Tour:0"] > late, f"not in time in the story {seed}"
 
 
+@settings(BOUNDED, max_examples=8)
+@given(seed=SEEDS)
+def test_no_coordinator_is_recovered_after_it_has_terminated_for_good(seed: int) -> None:
+    judged(ending(seed))
+
+
+@settings(BOUNDED, max_examples=5)
+@given(seed=SEEDS)
+def test_no_termination_is_undone_in_a_team_in_bad_weather(seed: int) -> None:
+    judged(replace(drawn(seed, hosts=(3, 5), faults=20), ends=0.05))
+
+
+@pytest.mark.parametrize(
+    ("bug", "seed"),
+    [
+        (bugs.promises_in_spite_of_a_known_termination, 24),
+        (bugs.knows_nothing_of_a_termination, 24),
+    ],
+)
+def test_a_recovery_in_spite_of_a_termination_is_seen(
+    bug: Callable[[pytest.MonkeyPatch], None], seed: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert judged(ending(seed)).judge.counts["ends"] > 0
+    bug(monkeypatch)
+    with pytest.raises(Breach, match=r"termination"):
+        search(range(seed, seed + 10), ending)
+
+
 def test_a_story_is_the_same_each_time() -> None:
     assert seen(7) == seen(7)
 
@@ -91,13 +120,13 @@ def test_what_leases_and_fences_rest_on_is_needed(
         search(range(first, first + 10))
 
 
-def search(seeds: range) -> None:
-    for seed in seeds:
-        judged(stormy(seed))
-
-
-def stormy(seed: int):
+def stormy(seed: int) -> Story:
     return drawn(seed, hosts=(3, 3), faults=30)
+
+
+def search(seeds: range, draws: Callable[[int], Story] = stormy) -> None:
+    for seed in seeds:
+        judged(draws(seed))
 
 
 def seen(seed: int) -> tuple[dict[str, int], dict[str, float]]:

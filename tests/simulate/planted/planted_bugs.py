@@ -288,7 +288,7 @@ BUGS = [
         generations_from_the_wall_clock,
         "a clock that was set back makes a later start an earlier one",
         frozenset({"start", "I1", "I2"}),
-        19,
+        50,
         draws=forgetful,
     ),
     Bug(

@@ -10,11 +10,16 @@ from planted_bugs import Bug, Patch
 
 from lfield.devices.guards import Guards
 from lfield.host.core import HostCore
+from lfield.host.orders.executed import Executed, Standing
+from lfield.host.stopping.stops import Stops
 from lfield.host.team import words
-from lfield.host.visitors import Visitors
 from lfield.journal.pages import Paused
-from lfield.simulate.stories.drawing import crowd, under_orders
+from lfield.mobility.core import Mobility
+from lfield.mobility.departures import UNREACHABLE
+from lfield.mobility.effects import Effect
+from lfield.simulate.stories.drawing import crowd, under_orders, wrecked
 from lfield.simulate.stories.story import FOR_EVER, Story, plain
+from lfield.wire.orders import HOLDS, Kind
 
 
 def ordered(seed: int) -> Story:
@@ -27,11 +32,11 @@ def ordered(seed: int) -> Story:
 
 
 def a_stop_is_forgotten_by_a_restart(patch: Patch) -> None:
-    patch.setattr(Visitors, "stay_stopped", lambda self: None)
+    patch.setattr(Stops, "stay_stopped", lambda self: None)
 
 
 def a_pause_is_forgotten_by_a_restart(patch: Patch) -> None:
-    patch.setattr(words, "Paused", lambda on: Paused(False))
+    patch.setattr(words, "Paused", lambda on, order: Paused(False, order))
 
 
 def a_stop_bars_nobody(patch: Patch) -> None:
@@ -57,7 +62,25 @@ def hasty(seed: int) -> Story:
 
 
 def an_order_that_comes_late_ends_a_newer_stop(patch: Patch) -> None:
-    patch.setattr(Visitors, "_is_late", lambda self, hold, lift, link: False)
+    standing = Executed.standing
+
+    def any_epoch(self: Executed, kind: Kind, id: bytes, epoch: bytes) -> Standing:
+        found = standing(self, kind, id, epoch)
+        return "new" if found in ("old", "unknown") and kind not in HOLDS else found
+
+    patch.setattr(Executed, "standing", any_epoch)
+
+
+def a_coordinator_that_was_given_up_continues(patch: Patch) -> None:
+    def forget(self: Mobility, agent: str, detail: str) -> tuple[list[int], list[Effect]]:
+        doubted = [copy for copy in self._copies.of(agent) if copy.doubt and copy.state == "PREPARED"]
+        effects: list[Effect] = []
+        for copy in doubted:
+            copy.doubt = ""
+            effects += self._departures._resume(copy, UNREACHABLE, detail)
+        return [copy.generation for copy in doubted], effects
+
+    patch.setattr(Mobility, "forget", forget)
 
 
 def only_neighbours_are_called(patch: Patch) -> None:
@@ -85,6 +108,13 @@ ORDER_BUGS = [
         "stop",
         55,
         hasty,
+    ),
+    _bug(
+        a_coordinator_that_was_given_up_continues,
+        "a person has declared it lost, and it runs",
+        "forget",
+        1,
+        wrecked,
     ),
     _bug(
         only_neighbours_are_called,

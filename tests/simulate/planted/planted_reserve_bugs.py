@@ -91,7 +91,7 @@ RESERVE_BUGS = [
         13,
     ),
     _bug(numbers_begin_again, "a number of an earlier life is given once more", "number robbed", 1),
-    _bug(any_number_will_do, "who has lost what it had acts on", "stale reserved", 11),
+    _bug(any_number_will_do, "who has lost what it had acts on", "stale reserved", 28),
     _bug(it_is_given_while_others_are_at_work, "a holder is not alone with what it has", "busy", 1),
     _bug(who_only_calls_need_not_ask, "a portal begins for others while somebody has it", "reserved", 1),
 ]

@@ -54,6 +54,12 @@ def _bug(plant: Any, why: str, seed: int, draws: Draws = ending) -> Bug:
     return Bug(plant, why, RECOVERED, seed, draws)
 
 
+def calm(seed: int) -> Story:
+    """One of three hosts in which nothing else happens than that one link is cut."""
+    story = replace(ending(seed), means={}, cast=3, hosts=3, walkers=3, witnesses=0)
+    return replace(story, aimed=story.aimed[:1])
+
+
 def slowly(seed: int) -> Story:
     """One in which a host loses power while the end of a coordinator is on its way to the disk."""
     story = replace(ending(seed), calls=1 + seed % 2, stay=1.0, means={}, sync=0.002)
@@ -65,8 +71,8 @@ def slowly(seed: int) -> Story:
 
 
 TERMINATED_BUGS = [
-    _bug(an_end_is_like_nothing_known, "who knows of the end answers like one that does not", 45),
-    _bug(a_promise_in_spite_of_a_known_end, "whoever is asked for a promise does not look", 45),
+    _bug(an_end_is_like_nothing_known, "who knows of the end answers like one that does not", 0, calm),
+    _bug(a_promise_in_spite_of_a_known_end, "whoever is asked for a promise does not look", 0, calm),
     _bug(
         an_end_is_told_before_it_is_on_disk, "it goes on from that disk, and others have its end", 7, slowly
     ),
