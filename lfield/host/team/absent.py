@@ -27,9 +27,9 @@ LOST_AFTER = 0.5
 #: Seconds without anything from a linked host, beyond the time of an answer, after which nobody is sent there
 #: who need not go.
 SILENT_FOR = 2.0
-#: A host that was heard this many seconds ago need not be asked for a sign of life; fewer where the answer
-#: takes only half as long, but always some, since with every hop something is heard.
-JUST_NOW, AT_LEAST = 0.1, 0.005
+#: A host that was heard this many seconds ago need not be asked for a sign of life: with less, a hop under a
+#: time limit takes a round trip more.
+JUST_NOW = 0.1
 #: Seconds that whoever is over a time limit waits for a sign of life, at the least; and at the most, where
 #: answers take long.
 GRACE, MOST_GRACE = 0.3, 2.0
@@ -70,16 +70,11 @@ class Absent:
     def ask(self, host: str) -> None:
         """Ask a linked host for a sign of life, unless it was heard just now or is being asked."""
         heard, now = self._nearby.last_heard(host), self._clock.monotonic()
-        if heard is None or not self._hearsay.is_linked(host) or now - heard <= self._fresh(host):
+        if heard is None or not self._hearsay.is_linked(host) or now - heard <= JUST_NOW:
             return
         if not self._is_unanswered(host, heard) and self._mobility.ask(host):
             self._asked[host] = now
             self._out(Send(host, Ping(QUESTION)))
-
-    def _fresh(self, host: str) -> float:
-        """For how many seconds after a host was heard it is not asked for a sign of life."""
-        round_trip = self._nearby.round_trip(host)
-        return JUST_NOW if round_trip is None else min(JUST_NOW, max(AT_LEAST, 2.0 * round_trip))
 
     def transit(self, host: str) -> float:
         """For how many seconds a message is on its way from or to a linked host; 0 where that is unknown."""
@@ -93,7 +88,7 @@ class Absent:
         heard = self._nearby.last_heard(host)
         if heard is None or not self._hearsay.is_linked(host):
             return 0.0
-        asks = self._clock.monotonic() - heard > self._fresh(host)
+        asks = self._clock.monotonic() - heard > JUST_NOW
         return self.transit(host) * (3.0 if asks else 1.0)
 
     def is_asked(self, host: str) -> bool:

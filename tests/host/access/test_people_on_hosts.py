@@ -134,7 +134,8 @@ def test_a_greeting_tells_nobody_but_hosts_of_the_mission(fleet, named):
             await team.until(lambda heard=heard: heard.hello)
             own = alpha.host.hello()
             said = msgspec.structs.replace(heard.hello, time=0.0)
-            assert said == Hello("host", "alpha", own.incarnation)
+            # A person needs the epochs for an order to stop.
+            assert said == Hello("host", "alpha", own.incarnation, epochs=own.epochs)
             assert own.coordinators
 
     fleet(story)

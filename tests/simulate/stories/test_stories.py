@@ -90,7 +90,7 @@ def test_a_person_stops_and_pauses_a_team_until_that_is_taken_back() -> None:
     assert not any(life.core.coordinators.paused for life in fleet.lives.values())
     assert judge.calls > calls
     operator.free_all()
-    fleet.run(1.0)
+    fleet.run(2.0)
     assert {life.core.coordinators.stopped for life in fleet.lives.values()} == {""}
     assert operator.carried_out == {"pause": 3, "stop": 3}
     judge.look()
