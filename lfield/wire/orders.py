@@ -48,7 +48,7 @@ Sentence = Annotated[str, Meta(max_length=MAX_SENTENCE)]
 class Epochs(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
     """The numbers of a host that an order must name. `hold` is what a stop or a pause names: it is new with
     each life of the host and with each executed end. `end` is what an order to end either names: it is new
-    with each executed order and each lock-out of a device."""
+    with each life, each executed stop or pause and each lock-out of a device."""
 
     hold: Epoch = UNKNOWN
     end: Epoch = UNKNOWN

@@ -64,6 +64,7 @@ UNREACHED: Mapping[str, Mapping[str, str]] = {
         "FramedLink.received: except Exception as error:": _BUG,
         "FramedLink.received: self.close()": _BUG,
         "FramedLink.received: unexpected(error)": _BUG,
+        "FramedLink._oversize: self._weigh(header)": "only a member over its budget gets no answers",
     },
     "control": {
         'Greeting.admit: raise WireError(f"a {type(message).__name__} came before the greeting")': (

@@ -398,7 +398,9 @@ def payloads() -> Mapping[int, Sequence[bytes]]:
         codec.REFUSE: refusals,
         codec.CONTROL: controls,
         codec.TRANSFER: [codec.encode_transfer(header, block) + block],
-        codec.PART: [frame(codec.PART, part) for part in (controls[0], controls[0][:7], controls[0][7:], b"")],
+        codec.PART: [
+            frame(codec.PART, part) for part in (controls[0], controls[0][:7], controls[0][7:], b"")
+        ],
     }
     allowed = codec.limits("host", 1).keys() | codec.GREETING_LIMITS.keys()
     assert found.keys() == allowed, "a kind of frame has no seeds here"

@@ -5,7 +5,7 @@ No clock decides. A host has two random numbers, its `Epochs`, and an order name
     | order          | names  | which is new with                                     |
     |----------------|--------|-------------------------------------------------------|
     | stop, pause    | `hold` | each life of the host, each executed end              |
-    | lift, resume   | `end`  | that, and each executed stop or pause, each lock-out  |
+    | lift, resume   | `end`  | each life, each executed stop or pause, each lock-out |
 
 So a copy of a stop that was lifted names an epoch that is over, and an end cannot end what came after it was
 given. An order that names another number is not executed: whoever still wants it is challenged to name the
@@ -76,7 +76,8 @@ class Executed:
         if kind in HOLDS:
             self.epochs = Epochs(self.epochs.hold, self._new())
         else:
-            self.epochs = Epochs(self._new(), self._new())
+            # `end` stays: two ends that are given at one time, of a stop and of a pause, are both executed.
+            self.epochs = Epochs(self._new(), self.epochs.end)
             for other, (was, holds) in self._orders.items():
                 if holds and hold_of(was) == hold_of(kind):
                     self._orders[other] = (was, False)

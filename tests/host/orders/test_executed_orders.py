@@ -73,22 +73,35 @@ def test_a_lock_out_is_ended_by_no_order_that_was_given_before():
     st.integers(0, 1000),
 )
 def test_after_an_end_no_earlier_order_is_executed(orders_given, seed):
-    """Orders name any epoch that a desk has ever heard: what precedes an end does nothing after it."""
+    """Orders name any epoch that a desk has ever heard: what precedes an end does nothing after it, and an
+    end does nothing to what came after it was given."""
     orders = executed(seed)
     heard: list[Epochs] = [orders.epochs]
     known: set[bytes] = set()
-    last_end = 0
+    last_end = last_hold = 0
     for kind, id, at in orders_given:
         named = min(at, len(heard) - 1)
         found = give(orders, kind, bytes([id, KINDS.index(kind)]) * 8, heard[named].of(kind))
         if found == "new":
-            assert named >= last_end if kind in HOLDS else named == len(heard) - 1
+            assert named >= (last_end if kind in HOLDS else last_hold)
             known.add(bytes([id, KINDS.index(kind)]) * 8)
             heard.append(orders.epochs)
-            if kind not in HOLDS:
+            if kind in HOLDS:
+                last_hold = len(heard) - 1
+            else:
                 last_end = len(heard) - 1
         else:
             assert orders.epochs == heard[-1]
+
+
+def test_two_ends_that_are_given_at_one_time_are_both_executed():
+    orders = executed()
+    give(orders, "stop", b"1" * 16)
+    give(orders, "pause", b"2" * 16)
+    told = orders.epochs.end
+    assert [
+        give(orders, kind, bytes([number]) * 16, told) for number, kind in ((3, "lift"), (4, "resume"))
+    ] == ["new", "new"]
 
 
 def test_the_ids_that_are_remembered_are_bounded_and_forgetting_does_no_harm():
