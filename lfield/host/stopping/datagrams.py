@@ -12,13 +12,13 @@ from collections import OrderedDict
 from collections.abc import Callable, Collection
 from contextlib import suppress
 from dataclasses import dataclass, field
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple
 
 from lfield.authority.admission import Admission
 from lfield.authority.orders.signing import Certificates, Known, Signer
 from lfield.authority.rights import lacks
 from lfield.errors import LfieldError, WireError
-from lfield.host.stopping.rations import Rations, Sender
+from lfield.host.stopping.rations import Rations, Sender, remember
 from lfield.host.stopping.stops import Answered, Answering
 from lfield.text.visible import in_one_line
 from lfield.wire import orders as wire
@@ -34,10 +34,6 @@ HOPS, WAYS, RELAY_EVERY = 2, 2, 0.15
 #: So many orders, verified datagrams and relayed ones are remembered; an answer goes back to so many askers,
 #: and so many answers of others are handed back for one order.
 MOST, MOST_ASKERS, MOST_BACK = 256, 4, 256
-
-
-K = TypeVar("K")
-V = TypeVar("V")
 
 
 class FromHost(NamedTuple):
@@ -158,7 +154,7 @@ class OrderDatagrams:
         if isinstance(found, LfieldError):
             return
         self._certificates.add(found)
-        _remember(self._verified, digest, found)
+        remember(self._verified, digest, found, MOST)
         if isinstance(checking.origin, Sender):
             self._rations.proven(checking.origin, checking.signed.signer)
         self._good(checking, found)
@@ -187,8 +183,8 @@ class OrderDatagrams:
         message = _message(order, order.epoch_for(self._name) or wire.UNKNOWN)
         who = known.who
         asked = self._asked.get(order.id) or _Asked()
-        _remember(self._asked, order.id, asked)
-        _remember(asked.askers, origin, signed, MOST_ASKERS)
+        remember(self._asked, order.id, asked, MOST)
+        remember(asked.askers, origin, signed, MOST_ASKERS)
         if why := lacks(who, self._admission.verdict(who), message):
             self.note(f"an order of {who} is not carried out: {why}")
             self._answer(order.id, wire.Denied(order.id, clip(why, wire.MAX_SENTENCE)))
@@ -227,7 +223,7 @@ class OrderDatagrams:
         digest, now = hashlib.sha256(checking.data).digest(), self._now()
         if not targets or not hops or now - self._relayed.get(digest, -RELAY_EVERY) < RELAY_EVERY:
             return
-        _remember(self._relayed, digest, now)
+        remember(self._relayed, digest, now, MOST)
         linked = [host for host in self.linked() if not _is_from(checking.origin, host)]
         direct = [host for host in targets if host in linked]
         around = linked[:WAYS] if len(direct) < len(targets) else []
@@ -271,10 +267,3 @@ def _message(order: Order, epoch: bytes) -> EmergencyStop | Pause:
 
 def _confirmed(id: bytes, answer: EmergencyStopped) -> wire.Confirmed:
     return wire.confirmed(id, answer.epochs, answer.devices, answer.trouble)
-
-
-def _remember(kept: OrderedDict[K, V], key: K, value: V, most: int = MOST) -> None:
-    kept[key] = value
-    kept.move_to_end(key)
-    if len(kept) > most:
-        kept.popitem(last=False)

@@ -15,7 +15,10 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Hashable
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
+
+K = TypeVar("K")
+V = TypeVar("V")
 
 #: So many are remembered, of senders, of addresses and of those whose signature was good.
 MOST = 1024
@@ -58,10 +61,7 @@ class _Buckets:
 
     def take(self, key: Hashable, now: float) -> None:
         """Take one."""
-        self._levels[key] = (self.level(key, now) - 1.0, now)
-        self._levels.move_to_end(key)
-        if len(self._levels) > MOST:
-            self._levels.popitem(last=False)
+        remember(self._levels, key, (self.level(key, now) - 1.0, now), MOST)
 
 
 class Rations:
@@ -100,7 +100,12 @@ class Rations:
 
     def proven(self, sender: Sender, signer: bytes) -> None:
         """A signature of this sender with this certificate was good."""
-        self._proven[sender, signer] = None
-        self._proven.move_to_end((sender, signer))
-        if len(self._proven) > MOST:
-            self._proven.popitem(last=False)
+        remember(self._proven, (sender, signer), None, MOST)
+
+
+def remember(kept: OrderedDict[K, V], key: K, value: V, most: int) -> None:
+    """Put it at the end, and forget the first where there are more than `most`."""
+    kept[key] = value
+    kept.move_to_end(key)
+    if len(kept) > most:
+        kept.popitem(last=False)

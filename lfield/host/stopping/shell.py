@@ -67,13 +67,13 @@ class DatagramShell:
         core.check, core.send = self._check, self._send
         core.later = self._later
 
-    def may_look(self, port: DatagramPort, address: Address) -> bool:
-        """See `Reader.may_look`."""
-        return self._core.may_look(Sender(network_of(address), (port, address)))
-
-    def received(self, port: DatagramPort, address: Address, data: bytes) -> None:
+    def received(self, port: DatagramPort, address: Address, data: bytes) -> bool:
         """See `Reader.received`."""
-        self._core.came(data, Sender(network_of(address), (port, address)))
+        sender = Sender(network_of(address), (port, address))
+        if not self._core.may_look(sender):
+            return False
+        self._core.came(data, sender)
+        return True
 
     def relayed(self, host: str, message: RelayedOrder | RelayedAnswer) -> None:
         """A host has sent this over its link; from an observer (host '') it is nothing."""

@@ -30,11 +30,8 @@ Address = tuple[str, int] | tuple[str, int, int, int]
 class Reader(Protocol):
     """Where datagrams go."""
 
-    def may_look(self, port: DatagramPort, address: Address) -> bool:
-        """Whether a datagram from there is to be read further."""
-
-    def received(self, port: DatagramPort, address: Address, data: bytes) -> None:
-        """A datagram that may be an order."""
+    def received(self, port: DatagramPort, address: Address, data: bytes) -> bool:
+        """A datagram that may be an order; False where its sender sends too much, and it is not looked at."""
 
 
 class DatagramPort:
@@ -82,18 +79,15 @@ class DatagramPort:
         self._loop.add_reader(self._socket.fileno(), self._read)
 
     def _take(self) -> None:
-        receive, may_look = self._socket.recvfrom, self._reader.may_look
+        receive, received = self._socket.recvfrom, self._reader.received
         for _ in range(AT_ONCE):
             try:
                 data, address = receive(MAX_DATAGRAM + 1)
             except OSError:
                 # Nothing is left, or an earlier answer could not be delivered.
                 return
-            if not (SHORTEST <= len(data) <= MAX_DATAGRAM and data.startswith(MAGIC)):
-                continue
-            if may_look(self, address):
-                self._reader.received(self, address, data)
-            else:
+            may_be_one = SHORTEST <= len(data) <= MAX_DATAGRAM and data.startswith(MAGIC)
+            if may_be_one and not received(self, address, data):
                 self._drop(address)
 
     def _drop(self, address: Address) -> None:
@@ -155,10 +149,7 @@ def beside(listening: socket.socket) -> socket.socket:
 
 def network_of(address: Address) -> str:
     """The network that an address is rationed with: itself, or the first 64 bits of one of IPv6."""
-    host = str(address[0]).partition("%")[0]
-    if ":" not in host:
-        return host
-    packed = socket.inet_pton(socket.AF_INET6, host)
-    if packed.startswith(bytes(10) + b"\xff\xff"):
-        return socket.inet_ntop(socket.AF_INET, packed[12:])
-    return packed[:8].hex()
+    if ":" not in address[0]:
+        return address[0]
+    packed = flooder(address[0], address[1]).address
+    return socket.inet_ntop(socket.AF_INET, packed) if len(packed) == 4 else packed[:8].hex()

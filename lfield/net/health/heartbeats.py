@@ -27,16 +27,34 @@ FIRST = 1.0
 HALF_LIFE = 600.0
 
 
-class RoundTrip:
-    """Mean and variation of a round-trip time, in seconds; None before the first sample.
+class Smoothed:
+    """Mean and variation of a round-trip time, in seconds (RFC 6298, section 2).
+
+    The mean is None before the first sample, whose share `first` is taken for the variation.
+    """
+
+    def __init__(self, mean: float | None = None, first: float = 1 / 2) -> None:
+        self._first = first
+        self.mean, self.variation = mean, (mean or 0.0) * first
+
+    def count(self, sample: float) -> None:
+        """Count a sample, in seconds."""
+        if self.mean is None:
+            self.mean, self.variation = sample, sample * self._first
+            return
+        self.variation += BETA * (abs(self.mean - sample) - self.variation)
+        self.mean += ALPHA * (sample - self.mean)
+
+
+class RoundTrip(Smoothed):
+    """The round-trip time of a link.
 
     TCP repeats what is lost: on a bad path some samples are many times the mean, so the longest of the last
     minutes is known as well.
     """
 
     def __init__(self) -> None:
-        self.mean: float | None = None
-        self.variation = 0.0
+        super().__init__()
         #: The last sample.
         self.last: float | None = None
         self._longest, self._at = 0.0, 0.0
@@ -48,11 +66,7 @@ class RoundTrip:
         self.last = sample
         if self.mean is None or sample >= self.longest(now):
             self._longest, self._at = sample, now
-        if self.mean is None:
-            self.mean, self.variation = sample, sample / 2
-            return
-        self.variation += BETA * (abs(self.mean - sample) - self.variation)
-        self.mean += ALPHA * (sample - self.mean)
+        self.count(sample)
 
     @property
     def bound(self) -> float | None:

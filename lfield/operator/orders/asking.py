@@ -15,7 +15,7 @@ from msgspec.structs import replace
 
 from lfield.authority.orders.signing import Certificates, Known, Signer, verified_answer
 from lfield.errors import LfieldError, WireError
-from lfield.operator.orders.round_trips import EXECUTING, RoundTrip, interval
+from lfield.net.health.heartbeats import Smoothed
 from lfield.wire.orders import (
     HOLDS,
     MAX_DATAGRAM,
@@ -50,6 +50,22 @@ PROMPT = 0.1
 _BESIDE = 320
 
 
+#: Before any round trip is measured, the shortest interval in seconds, and the rate in bytes/s that all hosts
+#: together are sent: half of a radio of 57.6 kbit/s, whose other half is for the answers.
+FIRST, RATE = 0.1, 3600.0
+#: The shortest and the longest interval, in seconds. So many are alike, since radio loses at random; by this
+#: factor each further one is longer.
+SHORTEST, LONGEST, ALIKE, BACKOFF = 0.04, 1.0, 4, 1.5
+#: How much the round trip may vary is not known after one measurement: this part of it.
+FIRST_VARIATION = 0.25
+#: A variation of the round trip of less than so many seconds is taken for so many.
+LEAST_VARIATION = 0.01
+#: An answer is missed after the round trip and so many variations of it.
+VARIATIONS = 2.0
+#: What is received but not confirmed is asked for after one interval, then two, up to so many.
+EXECUTING = 4
+
+
 class Send(NamedTuple):
     """A datagram for the address of a host."""
 
@@ -59,6 +75,25 @@ class Send(NamedTuple):
 
 #: How an order has ended at a host.
 Result = Confirmed | Denied
+
+
+class RoundTrip(Smoothed):
+    """The round trip of datagrams to one host."""
+
+    def __init__(self, measured: float | None = None) -> None:
+        super().__init__(measured, FIRST_VARIATION)
+
+    @property
+    def time_out(self) -> float | None:
+        """After so many seconds an answer is missed; None while nothing is measured.
+
+        A repeat that was not needed costs some 300 bytes, and one that comes late delays a stop. So this is
+        shorter than the time-out of RFC 6298, which is for whole windows of data.
+        """
+        if self.mean is None:
+            return None
+        late = self.mean + max(VARIATIONS * self.variation, LEAST_VARIATION)
+        return min(max(late, SHORTEST), LONGEST)
 
 
 @dataclass(slots=True)
@@ -136,7 +171,7 @@ class Asking:
     @property
     def trips(self) -> dict[str, float]:
         """The round trips that are measured, in seconds, for a later order."""
-        measured = {name: host.trip.smoothed for name, host in self._hosts.items()}
+        measured = {name: host.trip.mean for name, host in self._hosts.items()}
         return {name: seconds for name, seconds in measured.items() if seconds is not None}
 
     @property
@@ -227,7 +262,7 @@ class Asking:
         sent = host.sent.get(answer.attempt)
         if not isinstance(answer, Confirmed):
             self._measure(host, answer.attempt, now)
-        elif host.trip.smoothed is None and sent is not None:
+        elif host.trip.mean is None and sent is not None:
             # The devices took a part of it, but it is better than no measurement.
             self._measure(host, answer.attempt, min(now, sent + PROMPT))
         if not isinstance(answer, Denied):
@@ -261,10 +296,10 @@ class Asking:
         sent = host.sent.pop(attempt, None)
         if sent is None:
             return
-        host.trip.add(now - sent)
+        host.trip.count(now - sent)
         # Hosts that have answered nothing yet were waited for without any measurement.
         for other in self._hosts.values():
-            if other.due is not None and other.trip.smoothed is None and other.sent:
+            if other.due is not None and other.trip.mean is None and other.sent:
                 other.due = min(other.due, max(other.sent.values()) + self._pause(other))
 
     # --- sending --------------------------------------------------------------------------------------
@@ -306,8 +341,21 @@ class Asking:
         waiting = [one for one in self._hosts.values() if one.result is None]
         size = sum(len(one.signed.order) + len(one.certificate) + 100 for one in waiting)
         others = {name: one.trip for name, one in self._hosts.items()}
-        return interval(host.trip, others, max(0, host.unanswered - 1), size)
+        return _interval(host.trip, others, max(0, host.unanswered - 1), size)
 
 
 def _most_lost(host: _Host) -> int:
-    return RELAY_AFTER if host.trip.smoothed is None else LINK_AFTER
+    return RELAY_AFTER if host.trip.mean is None else LINK_AFTER
+
+
+def _interval(trip: RoundTrip, others: Mapping[str, RoundTrip], repeats: int, size: int) -> float:
+    """Seconds until a datagram is repeated that was sent `repeats` times before.
+
+    Without a measurement of its own, a host is waited for as the slowest of the others. Where none is
+    measured, `size` bytes of all datagrams of a round bound the rate.
+    """
+    measured = trip.time_out
+    if measured is None:
+        known = [late for other in others.values() if (late := other.time_out) is not None]
+        measured = max(known) if known else max(FIRST, size / RATE)
+    return min(measured * BACKOFF ** max(0, repeats - ALIKE), max(LONGEST, measured))

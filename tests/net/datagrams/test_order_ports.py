@@ -24,14 +24,14 @@ class Noted:
         self.came: list[bytes] = []
         self.left: dict[object, int] = {}
 
-    def may_look(self, port: DatagramPort, address: Address) -> bool:
+    def received(self, port: DatagramPort, address: Address, data: bytes) -> bool:
         left = self.left.get(address, 1000)
         self.left[address] = left - 1
-        return left > 0
-
-    def received(self, port: DatagramPort, address: Address, data: bytes) -> None:
+        if left <= 0:
+            return False
         self.came.append(data)
         port.send(address, b"seen")
+        return True
 
 
 def on_loop(story: Callable[[], object]) -> None:
