@@ -152,7 +152,7 @@ class TcpTransport:
         except OSError as error:
             at = socket_address(listening.getsockname())
             self.note(
-                f"no datagrams are received at {at}, so that a stop takes a connection: {refusal(error)}"
+                f"cannot receive UDP datagrams at {at}, so stops need a connection: {refusal(error)}"
             )
             return None
 

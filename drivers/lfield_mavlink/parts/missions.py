@@ -186,7 +186,7 @@ class Missions:
             return None
 
     async def _hold(self, why: str) -> None:
-        self._vehicle.note(f"its mission was changed while it is flown: {why}; it holds")
+        self._vehicle.note(f"the mission was changed in flight: {why}; the vehicle holds")
         try:
             await self._motion.halt(why)
         except DeviceError as error:
