@@ -151,9 +151,7 @@ class TcpTransport:
             return DatagramPort(beside(listening), self.datagrams, self._busy)
         except OSError as error:
             at = socket_address(listening.getsockname())
-            self.note(
-                f"cannot receive UDP datagrams at {at}, so stops need a connection: {refusal(error)}"
-            )
+            self.note(f"cannot receive UDP datagrams at {at}, so stops need a connection: {refusal(error)}")
             return None
 
     def _new_link(self, on_link: Callable[[Link], LinkHandler], *, plain: bool, calls: bool) -> StreamLink:
