@@ -39,17 +39,17 @@ INTERRUPTED = 130
 #: For people, in the order of the numbers.
 MEANINGS: Mapping[int, str] = {
     DONE: "success",
-    FAILED: "the mission failed: a coordinator died, or is lost for certain; of `kit`: a check failed; "
-    "of `query`: nobody can do it",
-    UNSAFE: "a device was not seen in its safe state and at rest: look at it",
-    UNHEARD: "a host was not heard of for too long: what became of the mission there is not known",
-    USAGE: "the command line makes no sense",
-    DATA: "a program, deployment, bundle, devices file, registry, dump, journal or key is wrong",
-    NO_INPUT: "a file cannot be read",
-    UNAVAILABLE: "unavailable: a port, address, driver, device, host, mission or journal",
+    FAILED: "the mission failed: a coordinator died or is lost; `kit`: a test failed; "
+    "`query`: no agent provides the capability",
+    UNSAFE: "a device is not confirmed to be at rest in its safe state: look at it",
+    UNHEARD: "a host was unreachable for too long: the state of the mission there is unknown",
+    USAGE: "invalid command line",
+    DATA: "invalid program, deployment, bundle, devices file, registry, dump, journal or key",
+    NO_INPUT: "cannot read a file",
+    UNAVAILABLE: "a port, address, driver, device, host, mission or journal is unavailable",
     SOFTWARE: "a bug in lfield (`LFIELD_TRACEBACK=1` shows it)",
-    NO_OUTPUT: "a file cannot be written",
-    INPUT_OUTPUT: "what is printed finds no reader, or no room",
+    NO_OUTPUT: "cannot write a file",
+    INPUT_OUTPUT: "cannot write the output",
     PROTOCOL: "protocol error between hosts",
     INTERRUPTED: "interrupted",
 }

@@ -23,31 +23,31 @@ if TYPE_CHECKING:
 
 #: Subcommands, each a module of a room of this package, and what they are for.
 COMMANDS = {
-    "check": "find the errors of a program or deployment",
-    "build": "make one file of a mission, for its robots, or of a program",
-    "keys": "make the keys of a team, renew, revoke and list them",
-    "sign": "say by a signature that a bundle may fly",
-    "disasm": "list a program file",
-    "test": "run the tests of missions on virtual time, and draw the tracks",
-    "up": "run the hosts of a deployment",
-    "ps": "show what runs where",
-    "watch": "show a running team in a page of the browser, with STOP on it",
-    "events": "tell what happens on the hosts of a mission, each with what led to it",
-    "logs": "show what the programs and hosts of a mission say",
-    "query": "tell who of a team can do something, and why the others cannot",
-    "capabilities": "read, check and extend the registry of capabilities",
-    "estop": "bring every device of a running mission into its safe state",
-    "start": "start the coordinators that wait, without hosts that are missing",
-    "pause": "let no agent of a running mission run, its devices in their safe states",
-    "resume": "let a mission that was paused go on",
-    "forget": "end a coordinator that is in doubt, lost or parked, by your word",
-    "recover": "go on with a coordinator whose host is gone for good, by your word",
-    "inspect": "explain a dumped agent, the journal of a host, or a bundle",
-    "doctor": "look for what stands between this computer and its devices",
-    "driver": "list the drivers, or begin a new one",
-    "setup": "write what devices must keep for their bindings, after a yes, or put back what was there",
-    "kit": "try a device, fake or real, against what its driver promises",
-    "sim": "run a stand-alone fake of a device, or make one go wrong",
+    "check": "report errors and warnings in programs, deployments and bindings",
+    "build": "compile a mission into one bundle, or a program into a program file",
+    "keys": "create, renew, revoke and list the keys of a team",
+    "sign": "sign a bundle",
+    "disasm": "disassemble a program",
+    "test": "run the tests of missions in virtual time and draw the tracks",
+    "up": "run one host of a mission, or all hosts on this computer",
+    "ps": "show the hosts and agents of running missions",
+    "watch": "serve a web page that shows a running team, with an emergency stop",
+    "events": "print the events of a mission's hosts, with the cause of each",
+    "logs": "print the log of a mission's programs and hosts",
+    "query": "list the agents that provide a capability, and why others do not",
+    "capabilities": "show and check the registry of capabilities",
+    "estop": "emergency stop: put every device of a running mission in its safe state",
+    "start": "start waiting coordinators without the hosts that are missing",
+    "pause": "pause a mission and put its devices in their safe states",
+    "resume": "resume a paused mission",
+    "forget": "terminate a coordinator that is in doubt, lost or suspended",
+    "recover": "continue a coordinator on another host after its host is permanently lost",
+    "inspect": "print the contents of an agent dump, a host's journal, or a bundle",
+    "doctor": "diagnose ports, permissions, libraries, clock and devices",
+    "driver": "list installed drivers, or create a new one",
+    "setup": "write the parameters that the bindings require to devices, or restore the old ones",
+    "kit": "run a driver's conformance tests on a device",
+    "sim": "run a simulated device, or inject faults into one",
 }
 _ROOMS = {
     "desk": ("check", "build", "disasm", "test", "inspect", "capabilities", "keys", "sign"),
@@ -206,7 +206,7 @@ def _refuse_empty(words: list[str]) -> None:
 
 def _dispatch(words: list[str]) -> int:
     _refuse_empty(words)
-    parser = _Parser(prog="lfield", description="One program for a team of robots.", epilog=_STATUSES)
+    parser = _Parser(prog="lfield", description="Run one program on a team of robots.", epilog=_STATUSES)
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
     parser.add_argument("--version", action="version", version=f"lfield {__version__}")
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)

@@ -19,10 +19,12 @@ if TYPE_CHECKING:
 def add_mission(parser: argparse.ArgumentParser, *, required: bool = True) -> None:
     """Declare it: `lfield up mission.lfm`, or `lfield up --deploy mission.dL`."""
     named = parser.add_mutually_exclusive_group(required=required)
-    what = "a deployment (.dL) or bundle (.lfm)" + ("" if required else "; without one, all that run here")
+    what = "deployment (.dL) or bundle (.lfm)" + (
+        "" if required else " (default: all missions that run on this computer)"
+    )
     # Positional arguments stand first in the help.
     named.add_argument("mission", metavar="MISSION", nargs="?", type=Path, help=what)
-    named.add_argument("--deploy", metavar="MISSION", type=Path, action=_Once, help="the same, as an option")
+    named.add_argument("--deploy", metavar="MISSION", type=Path, action=_Once, help="same as MISSION")
 
 
 class _Once(argparse.Action):
@@ -43,12 +45,14 @@ class _Once(argparse.Action):
 def add_running_mission(parser: argparse.ArgumentParser) -> None:
     """Declare it, or the run, and where its hosts are reached; with neither, all that runs here is meant."""
     add_mission(parser, required=False)
-    parser.add_argument("--run", metavar="ID", default="", help="one run of this computer, as 'ps' names it")
     parser.add_argument(
-        "--map", metavar="NAME=ADDR:PORT", action="append", default=[], help="where a host is reached"
+        "--run", metavar="ID", default="", help="one run on this computer, with the id that 'ps' prints"
     )
     parser.add_argument(
-        "--keys", metavar="DIR", type=Path, help="your keys, for hosts that are asked over a network"
+        "--map", metavar="NAME=ADDR:PORT", action="append", default=[], help="address of a host"
+    )
+    parser.add_argument(
+        "--keys", metavar="DIR", type=Path, help="directory with your keys, for hosts on a network"
     )
 
 

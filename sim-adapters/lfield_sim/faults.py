@@ -111,7 +111,7 @@ class Faults:
 def add_fault_option(parser: argparse.ArgumentParser) -> None:
     """`--fault NAME=VALUE`, as often as wanted: what is wrong from the start."""
     parser.add_argument(
-        "--fault", action="append", default=[], metavar="NAME[@DEVICE]=VALUE", help="wrong from the start"
+        "--fault", action="append", default=[], metavar="NAME[@DEVICE]=VALUE", help="fault from the start"
     )
 
 

@@ -64,7 +64,7 @@ class StateLog:
 def add_log_option(parser: argparse.ArgumentParser) -> None:
     """`--log FILE`."""
     parser.add_argument(
-        "--log", default="", metavar="FILE", help="a line for each change of a device: TIME DEVICE NAME=VALUE"
+        "--log", default="", metavar="FILE", help="log file with one line per change: TIME DEVICE NAME=VALUE"
     )
 
 

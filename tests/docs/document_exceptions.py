@@ -18,6 +18,7 @@ QUERY = RUNNING + "tests/cli/team/test_query.py"
 TEAM = RUNNING + "tests/cli/team"
 WATCH = RUNNING + "tests/cli/watch/test_watch.py"
 EXAMPLES = LONG + "tests/cli/run/test_thesis_and_examples.py runs it"
+TUTORIAL = LONG + "tests/docs/test_getting_started.py runs it"
 SURVIVES = LONG + "tests/cli/run/test_mission_survives.py runs it"
 DRIVER = "a driver of its own: tests/cli/robot/test_driver_new.py makes and tries one"
 SETUP = "writes to a vehicle, after a yes: tests/cli/robot/test_setup_command.py"
@@ -43,22 +44,23 @@ EXCEPTIONS: dict[str, dict[str, str]] = {
         "make chaos SECONDS=120": SUITE,
     },
     "README.md": {
-        "sudo apt-get install python3 python3-venv make git chromium chromium-driver": INSTALLS,
+        "sudo apt-get install python3 python3-venv make git": INSTALLS,
         "make demo": INSTALLS,
         "make test": SUITE,
-        "make bench": SUITE,
         "bravo | linked with alpha": EXAMPLES,
         "lfield up mission.lfm --host alpha": HARDWARE,
-        "lfield up --deploy mission.dL --all": HARDWARE,
-        "lfield up --deploy examples/01-first-flight/mission.dL --all --sim --dump /tmp/dumps": EXAMPLES,
-        "lfield ps": INSPECT,
         "lfield watch --deploy mission.dL": WATCH,
         "lfield up --deploy examples/03-mixed-team/mission.dL --all --sim --until-done": EXAMPLES,
-        "lfield doctor": "says what is wrong with this computer: tests/cli/robot has computers of its own",
-        "lfield sim mavlink --listen udp:127.0.0.1:14550 --kind copter --system 1": KIT,
-        'lfield kit mavlink --endpoint udp:127.0.0.1:14550 --set "waivers=[device_watchdog]"': KIT,
-        'lfield setup mavlink --endpoint udp:127.0.0.1:14550 --set "waivers=[device_watchdog]"': SETUP,
-        "lfield sim fault mavlink battery=0.2": KIT,
+    },
+    "lfield/docs/getting-started.md": {
+        "lfield up --deploy mission.dL --all --sim --until-done": TUTORIAL,
+        "west | boss: row 0 done": TUTORIAL,
+    },
+    "lfield/docs/performance.md": {
+        "make bench ONLY=hop": SUITE,
+        "make bench ONLY=deaths": SUITE,
+        "make bench ONLY=radio ROUNDS=100": SUITE,
+        "make bench AGAINST=../older": SUITE,
     },
     "lfield/docs/watch.md": {
         "lfield watch --deploy mission.dL": WATCH,

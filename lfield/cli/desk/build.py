@@ -20,19 +20,28 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "file",
         metavar="FILE",
         type=Path,
-        help="a deployment (.dL), a program (.L), or a bundle (.lfm) that gets other bindings",
+        help="deployment (.dL), program (.L), or bundle (.lfm) to bind again",
     )
     parser.add_argument(
-        "-o", "--output", metavar="FILE", type=Path, help="default: FILE.lfm, of a program FILE.lb, beside it"
+        "-o",
+        "--output",
+        metavar="FILE",
+        type=Path,
+        help="output file (default: FILE.lfm, or FILE.lb for a program)",
     )
-    parser.add_argument("--program", metavar="FILE", type=Path, help="L text or program file (default: M.L)")
     parser.add_argument(
-        "--devices", metavar="FILE", type=Path, help="device bindings (default: M.devices.yaml)"
+        "--program", metavar="FILE", type=Path, help="program, as text or compiled (default: MISSION.L)"
     )
     parser.add_argument(
-        "--capabilities", metavar="FILE", type=Path, help="its registry (default: M.capabilities.yaml)"
+        "--devices", metavar="FILE", type=Path, help="device bindings (default: MISSION.devices.yaml)"
     )
-    parser.add_argument("--sim", action="store_true", help="bind every device to its fake")
+    parser.add_argument(
+        "--capabilities",
+        metavar="FILE",
+        type=Path,
+        help="registry of the mission (default: MISSION.capabilities.yaml)",
+    )
+    parser.add_argument("--sim", action="store_true", help="bind every device to a simulated one")
     # For `lfield up`, which keeps what it builds here: names of files stay as they are, and of what it was
     # made is written down.
     parser.add_argument("--inputs", metavar="FILE", type=Path, help=argparse.SUPPRESS)

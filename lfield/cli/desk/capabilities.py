@@ -17,22 +17,26 @@ if TYPE_CHECKING:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare its options."""
     actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
-    tree = actions.add_parser("tree", help="the taxonomy, with the L types of what can be called")
-    tree.add_argument("id", metavar="ID", nargs="?", default="", help="only what hangs at this term")
+    tree = actions.add_parser("tree", help="print the taxonomy with its L types")
+    tree.add_argument("id", metavar="ID", nargs="?", default="", help="only below this term")
     _add_mission(tree)
-    show = actions.add_parser("show", help="all about a term, capability, attribute, provider or rule")
-    show.add_argument("name", metavar="NAME", help="its name or id")
-    show.add_argument("--L", dest="as_class", action="store_true", help="the class of a capability in L")
-    show.add_argument("--program", metavar="FILE.L", type=Path, help="with --L: as this program gets it")
+    show = actions.add_parser("show", help="print a term, capability, attribute, provider or rule")
+    show.add_argument("name", metavar="NAME", help="name or id")
+    show.add_argument("--L", dest="as_class", action="store_true", help="print the L class of a capability")
+    show.add_argument("--program", metavar="FILE.L", type=Path, help="with --L: as seen by this program")
     _add_mission(show)
-    check = actions.add_parser("check", help="every mistake in registry files; in ours without FILE")
-    check.add_argument("files", metavar="FILE", nargs="*", type=Path, help="files of a registry or a mission")
-    check.add_argument("--alone", action="store_true", help="without the registry that comes with lfield")
-    check.add_argument("--program", metavar="FILE.L", type=Path, help="also against this program's resources")
+    check = actions.add_parser(
+        "check", help="report errors in registry files (default: the built-in registry)"
+    )
+    check.add_argument("files", metavar="FILE", nargs="*", type=Path, help="registry files or mission")
+    check.add_argument("--alone", action="store_true", help="check without the built-in registry")
+    check.add_argument(
+        "--program", metavar="FILE.L", type=Path, help="also check against the resources of this program"
+    )
 
 
 def _add_mission(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--capabilities", metavar="FILE", type=Path, help="with what a mission adds to it")
+    parser.add_argument("--capabilities", metavar="FILE", type=Path, help="registry of a mission to include")
 
 
 def run(args: argparse.Namespace) -> int:

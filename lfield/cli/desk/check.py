@@ -25,7 +25,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=Path,
         help="programs, deployments (.dL) and bundles (.lfm)",
     )
-    parser.add_argument("--json", action="store_true", help="print an array with an object for each finding")
+    parser.add_argument("--json", action="store_true", help="print the findings as a JSON array")
 
 
 def run(args: argparse.Namespace) -> int:

@@ -15,10 +15,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "file",
         metavar="FILE",
         type=Path,
-        help="a program file, L text, a deployment or a bundle",
+        help="program, deployment or bundle",
     )
     parser.add_argument(
-        "--wasm", action="store_true", help="as WebAssembly text, with the instructions as comments"
+        "--wasm", action="store_true", help="print WebAssembly text, with byte code as comments"
     )
 
 

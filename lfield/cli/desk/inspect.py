@@ -20,7 +20,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "file",
         metavar="FILE",
         type=Path,
-        help="a dump of 'lfield up --dump DIR', a host's journal or its folder, a bundle or a deployment",
+        help="dump from 'lfield up --dump DIR', journal or its directory, bundle, or deployment",
     )
 
 

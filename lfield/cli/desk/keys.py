@@ -28,34 +28,44 @@ _VARIABLE = "LFIELD_AUTHORITY"
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare its options."""
     actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
-    init = actions.add_parser("init", help="begin the authority of a team, in a folder of yours")
-    init.add_argument("folder", metavar="DIR", nargs="?", type=Path, help="default: as for --authority")
+    init = actions.add_parser("init", help="create the certificate authority of a team")
+    init.add_argument(
+        "folder",
+        metavar="DIR",
+        nargs="?",
+        type=Path,
+        help="directory of the authority (default: as for --authority)",
+    )
     _add_days(init, _AUTHORITY_DAYS)
-    host = actions.add_parser("host", help="make the keys of hosts, by their names in the deployment")
-    host.add_argument("names", metavar="NAME", nargs="+")
-    person = actions.add_parser("person", help="make the keys of a person")
-    person.add_argument("names", metavar="NAME", nargs=1)
+    host = actions.add_parser("host", help="create the keys of hosts, named as in the deployment")
+    host.add_argument("names", metavar="NAME", nargs="+", help="names of hosts")
+    person = actions.add_parser("person", help="create the keys of a person")
+    person.add_argument("names", metavar="NAME", nargs=1, help="name of the person")
     person.add_argument(
         "--may",
         metavar="RIGHT,...",
         required=True,
         help="observe; stop, which brings observe; operate, which brings both; command: sign bundles",
     )
-    page = actions.add_parser("page", help="make the keys of a page on a network (lfield watch --listen)")
-    page.add_argument(
-        "names", metavar="ADDRESS", nargs="+", help="all that it may be opened by: addresses, or names"
+    page = actions.add_parser(
+        "page", help="create the keys of a web page on a network (lfield watch --listen)"
     )
-    renew = actions.add_parser("renew", help="make keys last longer; what is in use stays good until its end")
-    renew.add_argument("what", choices=("host", "person", "authority"))
-    renew.add_argument("names", metavar="NAME", nargs="*")
-    renew.add_argument("--new-key", action="store_true", help="with a new private key, to be copied too")
-    revoke = actions.add_parser("revoke", help="put keys on the list of those that count no more")
-    revoke.add_argument("what", choices=("host", "person", "serial"))
-    revoke.add_argument("names", metavar="NAME", nargs=1, help="or the number of one certificate")
-    listed = actions.add_parser("list", help="everything that the authority has made")
-    show = actions.add_parser("show", help="whose keys are in a folder, and whether they can be used")
+    page.add_argument(
+        "names", metavar="ADDRESS", nargs="+", help="addresses or names under which the page is opened"
+    )
+    renew = actions.add_parser("renew", help="renew keys; the old certificate stays valid until it expires")
+    renew.add_argument("what", choices=("host", "person", "authority"), help="kind of the keys")
+    renew.add_argument("names", metavar="NAME", nargs="*", help="names of hosts or persons")
+    renew.add_argument(
+        "--new-key", action="store_true", help="also create a new private key, which must be copied again"
+    )
+    revoke = actions.add_parser("revoke", help="add keys to the revocation list")
+    revoke.add_argument("what", choices=("host", "person", "serial"), help="kind of NAME")
+    revoke.add_argument("names", metavar="NAME", nargs=1, help="name, or serial number of one certificate")
+    listed = actions.add_parser("list", help="list all certificates that the authority has issued")
+    show = actions.add_parser("show", help="show the owner, rights and validity of keys")
     show.add_argument(
-        "folder", metavar="DIR", nargs="?", type=Path, help="default: all keys of this computer"
+        "folder", metavar="DIR", nargs="?", type=Path, help="directory (default: all keys on this computer)"
     )
     for each in (host, person, renew):
         _add_days(each, _DAYS)
@@ -65,7 +75,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
             "--authority",
             metavar="DIR",
             type=Path,
-            help=f"its folder (default: ${_VARIABLE}, or ~/.config/lfield/authority)",
+            help=f"directory of the authority (default: ${_VARIABLE}, or ~/.config/lfield/authority)",
         )
 
 
@@ -74,7 +84,7 @@ def _add_days(parser: argparse.ArgumentParser, default: int, most: int = _MOST_D
         "--days",
         metavar="N",
         type=whole_between(1, most, "days"),
-        help=f"how long they last (default: {default})",
+        help=f"validity in days (default: {default})",
     )
 
 

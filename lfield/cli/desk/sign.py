@@ -13,12 +13,12 @@ from lfield.errors import KeysError, UsageError
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare its options."""
-    parser.add_argument("file", metavar="BUNDLE", type=Path, help="a bundle (.lfm), which is signed in place")
+    parser.add_argument("file", metavar="BUNDLE", type=Path, help="bundle (.lfm), signed in place")
     parser.add_argument(
         "--keys",
         metavar="DIR",
         type=Path,
-        help="your keys (default: $LFIELD_KEYS, or ~/.config/lfield/keys/me)",
+        help="directory with your keys (default: $LFIELD_KEYS, or ~/.config/lfield/keys/me)",
     )
 
 

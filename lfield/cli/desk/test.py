@@ -19,14 +19,20 @@ _STATUSES = (
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """What to test, and where pictures go."""
-    parser.add_argument("paths", nargs="*", metavar="PATH", help="test files or folders (.)")
-    parser.add_argument("-k", default="", metavar="WORDS", help="only tests whose names fit, as in pytest")
-    parser.add_argument("-x", action="store_true", help="stop at the first that fails")
-    parser.add_argument("-q", action="store_true", help="say less")
-    parser.add_argument("-v", action="store_true", help="name each test")
-    parser.add_argument("-s", action="store_true", help="show what tests print")
+    parser.add_argument("paths", nargs="*", metavar="PATH", help="test files or directories (default: .)")
     parser.add_argument(
-        "--tracks", type=Path, default=Path("tracks"), metavar="DIR", help="for the pictures (tracks)"
+        "-k", default="", metavar="WORDS", help="run only tests whose names match, as in pytest"
+    )
+    parser.add_argument("-x", action="store_true", help="stop after the first failure")
+    parser.add_argument("-q", action="store_true", help="print less")
+    parser.add_argument("-v", action="store_true", help="print the name of each test")
+    parser.add_argument("-s", action="store_true", help="show the output of tests")
+    parser.add_argument(
+        "--tracks",
+        type=Path,
+        default=Path("tracks"),
+        metavar="DIR",
+        help="directory for the pictures (default: tracks)",
     )
 
 

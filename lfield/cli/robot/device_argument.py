@@ -16,16 +16,20 @@ if TYPE_CHECKING:
 
 def add_devices(parser: argparse.ArgumentParser) -> None:
     """Declare them."""
-    parser.add_argument("--endpoint", metavar="E", default="", help="where it is, as in a devices file")
-    parser.add_argument("--devices", metavar="FILE", type=Path, help="take ids, limits and waivers from here")
-    parser.add_argument("--type", default="", help="the device type in L, if the driver has several")
+    parser.add_argument(
+        "--endpoint", metavar="E", default="", help="endpoint of the device, as in a devices file"
+    )
+    parser.add_argument(
+        "--devices", metavar="FILE", type=Path, help="devices file with ids, limits and waivers"
+    )
+    parser.add_argument("--type", default="", help="device type in L, if the driver has several")
     parser.add_argument(
         "--set",
         dest="settings",
         action="append",
         default=[],
         metavar="KEY=VALUE",
-        help="a key of its binding: --set id=3 --set 'limits={speed: 1}'",
+        help="key of the binding: --set id=3 --set 'limits={speed: 1}'",
     )
 
 

@@ -25,12 +25,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--deploy",
         metavar="MISSION",
         type=Path,
-        help="also try every device of this deployment or bundle",
+        help="also test every device of this deployment or bundle",
     )
     parser.add_argument(
-        "--devices", metavar="FILE", type=Path, help="the bindings, if not beside the deployment"
+        "--devices", metavar="FILE", type=Path, help="device bindings (default: MISSION.devices.yaml)"
     )
-    parser.add_argument("--host", metavar="NAME", help="only the devices of this host of the deployment")
+    parser.add_argument("--host", metavar="NAME", help="only the devices of this host")
 
 
 def run(args: argparse.Namespace) -> int:

@@ -12,13 +12,13 @@ from lfield.errors import UsageError
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare its options."""
     actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
-    actions.add_parser("list", help="the installed drivers with their device types")
-    new = actions.add_parser("new", help="write a driver that passes the conformance kit on its own fake")
-    new.add_argument("name", metavar="NAME", help="the driver's name: small letters and digits")
-    new.add_argument("--sensor", action="store_true", help="it only senses, and has no safe state")
-    new.add_argument(
-        "--into", metavar="DIR", type=Path, help="a folder that does not exist yet (lfield_NAME)"
+    actions.add_parser("list", help="list the installed drivers and their device types")
+    new = actions.add_parser(
+        "new", help="create a driver project that passes the conformance tests with its own simulated device"
     )
+    new.add_argument("name", metavar="NAME", help="name of the driver: lower-case letters and digits")
+    new.add_argument("--sensor", action="store_true", help="sensor only, without a safe state")
+    new.add_argument("--into", metavar="DIR", type=Path, help="directory to create (default: lfield_NAME)")
 
 
 def run(args: argparse.Namespace) -> int:

@@ -24,17 +24,17 @@ _MARKS = {"passed": "ok     ", "failed": "FAILED ", "not run": "not run"}
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare its options."""
-    parser.add_argument("driver", metavar="DRIVER", help="the driver: mavlink, can, dynamixel, ...")
+    parser.add_argument("driver", metavar="DRIVER", help="driver: mavlink, can, dynamixel, ...")
     add_devices(parser)
     parser.add_argument(
         "--silence",
         type=real_between(0.1, 10.0, "seconds"),
         default=0.2,
         metavar="S",
-        help="seconds this computer may stall before the device goes safe (0.2; more on a busy desk)",
+        help="seconds without host messages until the safe state (default: 0.2; use more on a busy computer)",
     )
-    parser.add_argument("--yes", action="store_true", help="run what moves the device without asking")
-    parser.add_argument("--json", action="store_true", help="print the findings as JSON, one on each line")
+    parser.add_argument("--yes", action="store_true", help="run tests that move the device without asking")
+    parser.add_argument("--json", action="store_true", help="print one JSON object per finding and line")
 
 
 def run(args: argparse.Namespace) -> int:

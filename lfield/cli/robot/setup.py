@@ -29,16 +29,20 @@ if TYPE_CHECKING:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare its options."""
-    parser.add_argument("driver", metavar="DRIVER", nargs="?", default="", help="for one device: its driver")
     parser.add_argument(
-        "--deploy", metavar="MISSION", type=Path, help="the devices of a deployment or bundle"
+        "driver", metavar="DRIVER", nargs="?", default="", help="driver, to set up a single device"
     )
-    parser.add_argument("--host", metavar="NAME", help="only those of this host of the deployment")
+    parser.add_argument(
+        "--deploy", metavar="MISSION", type=Path, help="set up the devices of this deployment or bundle"
+    )
+    parser.add_argument("--host", metavar="NAME", help="only the devices of this host")
     add_devices(parser)
-    parser.add_argument("--sim", action="store_true", help="the fakes of the deployment, as a look at them")
-    parser.add_argument("--yes", action="store_true", help="write without asking")
-    parser.add_argument("--back", action="store_true", help="put back what was there before")
-    parser.add_argument("--state", metavar="DIR", type=Path, help="where it is kept what was there before")
+    parser.add_argument(
+        "--sim", action="store_true", help="use the simulated devices of the deployment, as a trial"
+    )
+    parser.add_argument("--yes", action="store_true", help="do not ask for confirmation")
+    parser.add_argument("--back", action="store_true", help="restore the old parameters")
+    parser.add_argument("--state", metavar="DIR", type=Path, help="directory with the old parameters")
 
 
 def run(args: argparse.Namespace) -> int:

@@ -18,15 +18,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     kinds = parser.add_subparsers(dest="kind_of_sim", metavar="KIND")
     for name, sim in sorted(discover_sims().items()):
         sim.add_arguments(kinds.add_parser(name, help=f"a fake for the driver '{name}'"))
-    fault = kinds.add_parser("fault", help="show or set the faults of running fakes")
+    fault = kinds.add_parser("fault", help="show or inject faults of running simulated devices")
     fault.add_argument(
         "target",
         nargs="?",
         default="",
         metavar="FAKE",
-        help="its endpoint, its kind, or the name of a device on it (alpha.fc); none shows all",
+        help="endpoint, kind, or name of a device (alpha.fc); without one, all are shown",
     )
-    fault.add_argument("settings", nargs="*", metavar="NAME[@DEVICE]=VALUE", help="what shall go wrong")
+    fault.add_argument("settings", nargs="*", metavar="NAME[@DEVICE]=VALUE", help="fault to inject")
 
 
 def run(args: argparse.Namespace) -> int:

@@ -37,69 +37,80 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare its options."""
     add_mission(parser)
     where = parser.add_mutually_exclusive_group()
-    where.add_argument("--host", metavar="NAME", help="the host to run here (default: this machine's own)")
-    where.add_argument("--all", action="store_true", help="run every host as a process of its own, here")
-    parser.add_argument("--program", metavar="FILE", type=Path, help="L text or program file (default: M.L)")
+    where.add_argument(
+        "--host", metavar="NAME", help="host to run (default: the one named like this computer)"
+    )
+    where.add_argument("--all", action="store_true", help="run every host on this computer, one process each")
     parser.add_argument(
-        "--devices", metavar="FILE", type=Path, help="device bindings (default: M.devices.yaml)"
+        "--program", metavar="FILE", type=Path, help="program, as text or compiled (default: MISSION.L)"
     )
     parser.add_argument(
-        "--sim", action="store_true", help="bind every device to its fake, and start the fakes"
+        "--devices", metavar="FILE", type=Path, help="device bindings (default: MISSION.devices.yaml)"
+    )
+    parser.add_argument(
+        "--sim", action="store_true", help="bind every device to a simulated one, and start these"
     )
     parser.add_argument(
         "--map",
         metavar="NAME=ADDR:PORT",
         action="append",
         default=[],
-        help="where a host listens and is reached",
+        help="address of a host",
     )
-    parser.add_argument("--until-done", action="store_true", help="end when every coordinator has ended")
-    parser.add_argument("--dump", metavar="DIR", type=Path, help="dump agents that die, for 'lfield inspect'")
+    parser.add_argument("--until-done", action="store_true", help="exit when all coordinators have ended")
     parser.add_argument(
-        "--unreachable-after", metavar="SECONDS", type=_SECONDS, help="bound of a portal call (default 10)"
+        "--dump", metavar="DIR", type=Path, help="write a dump of each agent that fails, for 'lfield inspect'"
+    )
+    parser.add_argument(
+        "--unreachable-after",
+        metavar="SECONDS",
+        type=_SECONDS,
+        help="time-out of a portal call (default: 10)",
     )
     parser.add_argument(
         "--lost-after",
         metavar="SECONDS",
         type=_SECONDS,
         default=15.0,
-        help="with --until-done: end when a host was not heard by anybody for so long (default 15)",
+        help="with --until-done: exit when a host was unreachable for this long (default: 15)",
     )
     _add_kept(parser)
     parser.add_argument(
         "--engine",
         choices=("auto", "wasm", "reference"),
         default="",
-        help="what runs the program, whatever the devices file says: auto is the faster that there is",
+        help="engine that runs the program (default: as in the devices file; auto: the fastest available)",
     )
     parser.add_argument(
-        "--keys", metavar="DIR", type=Path, help="the keys of this host, or a folder with those of several"
+        "--keys", metavar="DIR", type=Path, help="directory with the keys of this host, or of several hosts"
     )
     parser.add_argument(
         "--lasts",
         metavar="SECONDS",
         type=real_above_0(LONGEST, "seconds"),
         default=DAY,
-        help="how long the mission may take: keys that end before that are refused (default a day)",
+        help="maximum duration of the mission; keys that expire earlier are refused (default: one day)",
     )
     _add_hidden(parser)
 
 
 def _add_kept(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
-        "--state", metavar="DIR", type=Path, help="where a host keeps its coordinators; also with --sim"
+        "--state", metavar="DIR", type=Path, help="directory for the journal; also enables it with --sim"
     )
     parser.add_argument(
-        "--volatile", action="store_true", help="keep nothing: what a host has is gone when it stops"
+        "--volatile",
+        action="store_true",
+        help="run without a journal: coordinators are lost when the host stops",
     )
     parser.add_argument(
-        "--fresh", action="store_true", help="begin anew: throw away, after a yes, what this host keeps"
+        "--fresh", action="store_true", help="discard the journal of this host, after confirmation"
     )
-    parser.add_argument("--yes", action="store_true", help="with --fresh: throw it away without asking")
+    parser.add_argument("--yes", action="store_true", help="with --fresh: do not ask for confirmation")
     parser.add_argument(
         "--first-start",
         action="store_true",
-        help="this host has never started its coordinators before, and need not hear all others first",
+        help="first start ever of this host: start its coordinators without asking the other hosts first",
     )
 
 

@@ -30,12 +30,12 @@ _LINE = 4000
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare its options."""
     add_running_mission(parser)
-    parser.add_argument("--reason", metavar="TEXT", default="", help="a sentence for the logs of the hosts")
+    parser.add_argument("--reason", metavar="TEXT", default="", help="reason, for the logs of the hosts")
     parser.add_argument(
-        "--lift", action="store_true", help="the emergency is over: programs may release their devices again"
+        "--lift", action="store_true", help="end the emergency stop: programs may release their devices again"
     )
     parser.add_argument(
-        "--no-wait", action="store_true", help="end when all have confirmed, without looking at the way down"
+        "--no-wait", action="store_true", help="exit when all devices have confirmed, before they are at rest"
     )
 
 

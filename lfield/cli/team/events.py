@@ -29,22 +29,25 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare its options."""
     add_running_mission(parser)
     form = parser.add_mutually_exclusive_group()
-    form.add_argument("--json", action="store_true", help="print each event as a JSON object on its line")
-    form.add_argument("--csv", action="store_true", help="print telemetry and hops as a table")
+    form.add_argument("--json", action="store_true", help="print one JSON object per line")
+    form.add_argument("--csv", action="store_true", help="print telemetry and hops as CSV")
     parser.add_argument(
-        "--since", metavar="N", type=_number, help="begin after event N of each host; 0: with all they have"
+        "--since",
+        metavar="N",
+        type=_number,
+        help="start after event N of each host; 0: with the oldest stored event",
     )
     parser.add_argument(
-        "--no-follow", action="store_true", help="end when all is told that has happened (as after --since 0)"
+        "--no-follow", action="store_true", help="exit after the stored events (implies --since 0)"
     )
-    parser.add_argument("--kinds", metavar="KIND,...", default="", help="only these kinds of events")
-    parser.add_argument("--host", metavar="NAME", action="append", default=[], help="only those of this host")
+    parser.add_argument("--kinds", metavar="KIND,...", default="", help="only events of these kinds")
+    parser.add_argument("--host", metavar="NAME", action="append", default=[], help="only this host")
     parser.add_argument(
         "--rate",
         metavar="HZ",
         type=_rate,
         default=RATE,
-        help=f"how often telemetry is told, at most {MAX_RATE:g}; 0 for never (default {RATE:g})",
+        help=f"rate of telemetry events, at most {MAX_RATE:g}; 0: none (default: {RATE:g})",
     )
 
 
@@ -60,7 +63,7 @@ def _rate(text: str) -> float:
     except ValueError:
         rate = -1.0
     if not 0.0 <= rate <= MAX_RATE:
-        raise argparse.ArgumentTypeError(f"telemetry is told from 0 to {MAX_RATE:g} times a second")
+        raise argparse.ArgumentTypeError(f"the rate must be from 0 to {MAX_RATE:g} Hz")
     return rate
 
 

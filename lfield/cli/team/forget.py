@@ -11,7 +11,7 @@ from lfield.errors import CoordinatorAlive
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare its options."""
-    parser.add_argument("agent", metavar="AGENT", help="the coordinator")
+    parser.add_argument("agent", metavar="AGENT", help="id of the coordinator")
     add_running_mission(parser)
 
 

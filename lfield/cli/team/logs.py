@@ -17,8 +17,8 @@ if TYPE_CHECKING:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare its options."""
     add_running_mission(parser)
-    parser.add_argument("-f", "--follow", action="store_true", help="go on with what is said, until a Ctrl-C")
-    parser.add_argument("--host", metavar="NAME", action="append", default=[], help="only that of this host")
+    parser.add_argument("-f", "--follow", action="store_true", help="follow the log until Ctrl-C")
+    parser.add_argument("--host", metavar="NAME", action="append", default=[], help="only this host")
 
 
 def run(args: argparse.Namespace) -> int:

@@ -12,7 +12,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare its options."""
     add_running_mission(parser)
     parser.add_argument(
-        "--no-wait", action="store_true", help="end when all have confirmed, without looking at the way down"
+        "--no-wait", action="store_true", help="exit when all devices have confirmed, before they are at rest"
     )
 
 

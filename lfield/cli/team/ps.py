@@ -12,7 +12,7 @@ from lfield.cli.mission_argument import add_running_mission, meant_parties, mean
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare its options."""
     add_running_mission(parser)
-    parser.add_argument("--json", action="store_true", help="print what the hosts say as JSON")
+    parser.add_argument("--json", action="store_true", help="print the answers of the hosts as JSON")
 
 
 def run(args: argparse.Namespace) -> int:

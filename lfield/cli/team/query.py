@@ -23,21 +23,26 @@ if TYPE_CHECKING:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare its options."""
     parser.add_argument(
-        "query", metavar="QUERY", help='a capability, or an id of the taxonomy: "Lift where payload >= 2.0"'
+        "query",
+        metavar="QUERY",
+        help='capability or taxonomy id, with a condition: "Lift where payload >= 2.0"',
     )
     add_running_mission(parser)
     parser.add_argument(
-        "--capabilities", metavar="FILE", type=Path, help="the mission's registry, if not beside it"
+        "--capabilities",
+        metavar="FILE",
+        type=Path,
+        help="registry of the mission (default: MISSION.capabilities.yaml)",
     )
-    parser.add_argument("--at", metavar="HOST", default="", help="answer as this host would")
-    parser.add_argument("--files", action="store_true", help="from the files alone: ask no host")
+    parser.add_argument("--at", metavar="HOST", default="", help="answer from the point of view of this host")
+    parser.add_argument("--files", action="store_true", help="use the files only; do not connect to hosts")
     parser.add_argument(
         "--explain",
         action="store_true",
-        help="also tell every term of the scores, and why others are not offered",
+        help="also print the terms of each score, and why other agents do not match",
     )
     parser.add_argument(
-        "--team", metavar="N", type=_size, help="also the best teams of N with no agent twice"
+        "--team", metavar="N", type=_size, help="also print the best teams of N distinct agents"
     )
     parser.add_argument("--json", action="store_true", help="print the answer as JSON")
 

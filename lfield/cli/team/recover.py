@@ -20,9 +20,9 @@ if TYPE_CHECKING:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare its options."""
-    parser.add_argument("agent", metavar="AGENT", help="the coordinator")
+    parser.add_argument("agent", metavar="AGENT", help="id of the coordinator")
     add_running_mission(parser)
-    parser.add_argument("--yes", action="store_true", help="the answer to what it asks")
+    parser.add_argument("--yes", action="store_true", help="do not ask for confirmation")
 
 
 def run(args: argparse.Namespace) -> int:

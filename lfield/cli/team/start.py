@@ -25,7 +25,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="HOST",
         action="append",
         default=[],
-        help="a host that this start does not wait for; repeat it for each",
+        help="host to start without (repeatable)",
     )
 
 

@@ -36,22 +36,22 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="N",
         type=_port,
         default=0,
-        help="the page's; any that is free if none is given",
+        help="port of the page (default: any free port)",
     )
     parser.add_argument(
         "--listen",
         metavar="ADDRESS",
         type=_address,
-        help="serve it on a network, at this address of the computer, by https",
+        help="serve the page on a network at this address, with HTTPS",
     )
     parser.add_argument(
         "--page-keys",
         metavar="DIR",
         type=Path,
-        help="the keys of the page for that, as 'lfield keys page ADDRESS' makes them",
+        help="keys of the page, from 'lfield keys page ADDRESS'",
     )
     parser.add_argument(
-        "--tiles", metavar="FILE", type=Path, help="a background for the map: an MBTiles file with pictures"
+        "--tiles", metavar="FILE", type=Path, help="background of the map: a raster MBTiles file"
     )
 
 

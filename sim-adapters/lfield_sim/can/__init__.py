@@ -43,14 +43,14 @@ class CanSim:
             "--listen",
             action="append",
             metavar="socketcand:HOST:PORT|slcan-pty[:PATH]",
-            help="a door, as often as wanted (socketcand:127.0.0.1:0)",
+            help="bus access (repeatable; default: socketcand:127.0.0.1:0)",
         )
         parser.add_argument(
             "--device",
             action="append",
             default=[],
             metavar="KIND:NODE|FILE[:NAME][,KEY=VALUE]",
-            help="cia402:5, odrive:3 or dbc:FILE, as often as wanted",
+            help="device: cia402:5, odrive:3 or dbc:FILE (repeatable)",
         )
         parser.add_argument(
             "--bitrate",
@@ -62,7 +62,7 @@ class CanSim:
         add_log_option(parser)
         add_fault_option(parser)
         parser.add_argument(
-            "--until-stdin-closes", action="store_true", help="end with the one who started it"
+            "--until-stdin-closes", action="store_true", help="exit when standard input closes"
         )
 
     def arguments(self, devices: Sequence[DeviceBinding]) -> list[str]:

@@ -33,36 +33,44 @@ class DynamixelSim:
             action="append",
             default=[],
             metavar="ID:MODEL[:NAME]",
-            help="one servo; as often as wanted",
+            help="servo (repeatable)",
         )
         parser.add_argument(
-            "--listen", default="", metavar="PATH", help="of the port (in a new temporary folder)"
+            "--listen",
+            default="",
+            metavar="PATH",
+            help="path of the port (default: in a temporary directory)",
         )
         parser.add_argument(
             "--baud",
             type=whole_between(min(BAUDS), max(BAUDS), "bauds"),
             choices=BAUDS,
             default=57_600,
-            help="of the servos (57600)",
+            help="baud rate (default: 57600)",
         )
         parser.add_argument(
-            "--protocol", choices=("1.0", "2.0"), default="2.0", help="where a model has both (2.0)"
+            "--protocol",
+            choices=("1.0", "2.0"),
+            default="2.0",
+            help="protocol, where a model has both (default: 2.0)",
         )
         parser.add_argument(
             "--return-delay",
             type=whole_between(0, 1000, "microseconds"),
             default=500,
             metavar="US",
-            help="before they answer, in microseconds (500)",
+            help="return delay in microseconds (default: 500)",
         )
         parser.add_argument(
-            "--seed", type=whole_between(0, 1 << 32), default=1, metavar="N", help="of random faults (1)"
+            "--seed",
+            type=whole_between(0, 1 << 32),
+            default=1,
+            metavar="N",
+            help="seed of random faults (default: 1)",
         )
+        parser.add_argument("--echo", action="store_true", help="the adapter echoes every transmitted byte")
         parser.add_argument(
-            "--echo", action="store_true", help="the adapter returns every byte that is sent to the servos"
-        )
-        parser.add_argument(
-            "--until-stdin-closes", action="store_true", help="end with the one who started it"
+            "--until-stdin-closes", action="store_true", help="exit when standard input closes"
         )
         add_log_option(parser)
         add_fault_option(parser)

@@ -32,7 +32,7 @@ FAULTS = (
     Fault("sag", 0.0, "volts that its supply lacks", 0.0, 100.0),
     Fault("encoder", False, "its encoder fails"),
     share("noise", "share of replies with random bytes before them"),
-    Fault("echo", False, "the adapter returns every byte that is sent to the servos"),
+    Fault("echo", False, "the adapter echoes every transmitted byte"),
     Fault("unplug", False, "the adapter is pulled out; false plugs it in again"),
 )
 #: Degrees per second of the fault `hot`.

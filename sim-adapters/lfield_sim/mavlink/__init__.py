@@ -46,46 +46,68 @@ class MavlinkSim:
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
         """What it models can be set; the speeds are those of the autopilot's parameters."""
-        parser.add_argument("--listen", default="udp:127.0.0.1:14550", metavar="udp|tcp:HOST:PORT|pty")
-        parser.add_argument("--kind", choices=KINDS, default="copter")
-        parser.add_argument("--flavour", choices=FLAVOURS, default="ardupilot")
+        parser.add_argument(
+            "--listen",
+            default="udp:127.0.0.1:14550",
+            metavar="udp|tcp:HOST:PORT|pty",
+            help="endpoint (default: %(default)s)",
+        )
+        parser.add_argument(
+            "--kind", choices=KINDS, default="copter", help="kind of vehicle (default: %(default)s)"
+        )
+        parser.add_argument(
+            "--flavour", choices=FLAVOURS, default="ardupilot", help="autopilot (default: %(default)s)"
+        )
         parser.add_argument("--system", type=system, default=1, metavar="N", help="MAVLink system id")
         parser.add_argument(
             "--vehicle", type=vehicle, action="append", metavar="SYSTEM[:KIND[:FLAVOUR[:NAME]]]",
-            help="one of several on the link, instead of the three options above",
+            help="one of several vehicles on the link, instead of --kind, --flavour and --system",
         )  # fmt: skip
         for option, unit, meaning in SPEEDS:
             parser.add_argument(option, type=_POSITIVE, metavar=unit, help=meaning)
         parser.add_argument(
-            "--battery", type=real_between(0.0, 1.0), default=1.0, metavar="0..1", help="charge at start"
+            "--battery",
+            type=real_between(0.0, 1.0),
+            default=1.0,
+            metavar="0..1",
+            help="initial battery charge",
         )
-        parser.add_argument("--capacity", type=_POSITIVE, metavar="MAH", help="of the battery (3300)")
         parser.add_argument(
-            "--param", action="append", default=[], metavar="NAME[@SYSTEM]=VALUE", help="any parameter"
+            "--capacity", type=_POSITIVE, metavar="MAH", help="battery capacity (default: 3300)"
+        )
+        parser.add_argument(
+            "--param",
+            action="append",
+            default=[],
+            metavar="NAME[@SYSTEM]=VALUE",
+            help="parameter of the autopilot",
         )
         parser.add_argument(
             "--set-up", nargs="?", const=STATES[0], default="", choices=STATES,
-            help="set up as for a binding with this safe state (land), instead of as out of the box",
+            help="parameters as set up for this safe state (default: land), not factory defaults",
         )  # fmt: skip
         parser.add_argument(
             "--fitted", type=fitted, default="all", metavar="all|none|HARDWARE,...",
-            help="what hangs on it: camera, gimbal, gripper, winch",
+            help="attached hardware: camera, gimbal, gripper, winch",
         )  # fmt: skip
         parser.add_argument(
             "--board", type=board, metavar="HEX",
-            help="number of its board, 0 for none (drawn); of the next vehicle one more",
+            help="unique id of the board, 0 for none (default: random); one more for each further vehicle",
         )  # fmt: skip
         parser.add_argument(
-            "--origin", type=origin, metavar="LATITUDE,LONGITUDE,ALTITUDE", help="where all are switched on"
+            "--origin",
+            type=origin,
+            metavar="LATITUDE,LONGITUDE,ALTITUDE",
+            help="position of all vehicles at power-on",
         )
         parser.add_argument(
             "--stand", type=stand, action="append", default=[], metavar="SYSTEM:NORTH,EAST,DOWN,HEADING",
-            help="where one is switched on, in metres of there and what it takes for north, in radians",
+            help="position of one vehicle at power-on, in m from --origin, and its heading in rad",
         )  # fmt: skip
         add_log_option(parser)
         add_fault_option(parser)
         parser.add_argument(
-            "--until-stdin-closes", action="store_true", help="end with the one who started it"
+            "--until-stdin-closes", action="store_true", help="exit when standard input closes"
         )
 
     def arguments(self, devices: Sequence[DeviceBinding]) -> list[str]:

@@ -21,11 +21,11 @@ KINDS, FLAVOURS = ("copter", "rover", "rover_skid"), ("ardupilot", "px4")
 SKID = "rover_skid"
 #: Options that are a limit of motion: the option, the limit (see `flavours.Kind.speeds`), unit, meaning.
 SPEEDS = (
-    ("--cruise", "M/S", "speed over ground (10; PX4 and rovers 5)"),
-    ("--climb", "M/S", "speed upwards (2.5; PX4 3)"),
-    ("--descend", "M/S", "speed downwards (1.5)"),
-    ("--land", "M/S", "speed below 10 m when landing (0.5; PX4 0.7)"),
-    ("--acceleration", "M/S2", "both ways (2.5; PX4 3, rovers 1)"),
+    ("--cruise", "M/S", "ground speed (default: 10; PX4 and rovers 5)"),
+    ("--climb", "M/S", "climb speed (default: 2.5; PX4 3)"),
+    ("--descend", "M/S", "descent speed (default: 1.5)"),
+    ("--land", "M/S", "landing speed below 10 m (default: 0.5; PX4 0.7)"),
+    ("--acceleration", "M/S2", "acceleration and deceleration (default: 2.5; PX4 3, rovers 1)"),
 )
 
 

@@ -1,0 +1,13 @@
+"""The page of all commands is generated from their argument parsers, and says something of every argument."""
+
+from __future__ import annotations
+
+from cli_page import PAGE, page
+
+
+def test_the_page_of_commands_is_up_to_date() -> None:
+    assert PAGE.read_text(encoding="utf-8") == page(), "python tests/docs/cli_page.py --write"
+
+
+def test_every_argument_has_a_help_text() -> None:
+    assert [line for line in page().splitlines() if line.endswith("|  |")] == []
