@@ -94,16 +94,7 @@ class MavlinkSim:
             "--board", type=board, metavar="HEX",
             help="unique id of the board, 0 for none (default: random); one more for each further vehicle",
         )  # fmt: skip
-        parser.add_argument(
-            "--origin",
-            type=origin,
-            metavar="LATITUDE,LONGITUDE,ALTITUDE",
-            help="position of all vehicles at power-on",
-        )
-        parser.add_argument(
-            "--stand", type=stand, action="append", default=[], metavar="SYSTEM:NORTH,EAST,DOWN,HEADING",
-            help="position of one vehicle at power-on, in m from --origin, and its heading in rad",
-        )  # fmt: skip
+        _add_places(parser)
         add_log_option(parser)
         add_fault_option(parser)
         parser.add_argument(
@@ -192,3 +183,17 @@ def _set_up(device: DeviceBinding, vehicle: VehicleOption) -> dict[str, float]:
 
 
 SIM = MavlinkSim()
+
+
+def _add_places(parser: argparse.ArgumentParser) -> None:
+    """Where the vehicles stand at power-on."""
+    parser.add_argument(
+        "--origin",
+        type=origin,
+        metavar="LATITUDE,LONGITUDE,ALTITUDE",
+        help="position of all vehicles at power-on",
+    )
+    parser.add_argument(
+        "--stand", type=stand, action="append", default=[], metavar="SYSTEM:NORTH,EAST,DOWN,HEADING",
+        help="position of one vehicle at power-on, in m from --origin, and its heading in rad",
+    )  # fmt: skip

@@ -86,7 +86,7 @@ def test_help_and_version_are_answers(lfield):
 @pytest.mark.parametrize("command", ["up", "ps", "estop"])
 def test_nothing_is_the_same_as_what_comes_later(here, command):
     text = "\n".join(here(command, "--help").out)
-    assert -1 < text.index("(.dL) or bundle (.lfm)") < text.index("the same, as an option")
+    assert -1 < text.index("(.dL) or bundle (.lfm)") < text.index("same as MISSION")
 
 
 # files

@@ -153,8 +153,8 @@ def test_a_host_that_is_killed_and_started_again_is_told_and_followed_on(lfield)
         ),
         (["--host", "gamma"], "there is no host 'gamma': there is alpha and beta"),
         (["--since", "-1"], "--since"),
-        (["--rate", "50"], "telemetry is told from 0 to 20 times a second"),
-        (["--rate", "nan"], "telemetry is told from 0 to 20 times a second"),
+        (["--rate", "50"], "the rate must be from 0 to 20 Hz"),
+        (["--rate", "nan"], "the rate must be from 0 to 20 Hz"),
         (["--json", "--csv"], "not allowed with argument"),
     ],
 )
