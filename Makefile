@@ -86,9 +86,9 @@ INSTALL := $(BIN)/pip install --quiet --disable-pip-version-check
 LOCKED = $(INSTALL) --require-hashes --requirement deploy/locks/$(1).txt && \
 	$(INSTALL) --no-deps --no-build-isolation --editable .
 
-$(VENV)/.installed: pyproject.toml deploy/locks/run.txt
+$(VENV)/.installed: pyproject.toml deploy/locks/desk.txt
 	$(PYTHON) -m venv $(VENV)
-	$(call LOCKED,run)
+	$(call LOCKED,desk)
 	touch $@
 
 $(VENV)/.tested: $(VENV)/.installed deploy/locks/test.txt
@@ -106,8 +106,8 @@ LOCK = printf 'editables\nhatchling\n' | $(BIN)/uv pip compile --quiet --upgrade
 # Takes the newest versions that pyproject.toml allows, for every Python and processor it names, and tries them.
 locks: $(VENV)/.tested
 	$(INSTALL) uv
-	$(call LOCK,run,all) && $(call LOCK,watch,watch) && \
-		$(call LOCK,test,all,watch,test) && $(call LOCK,bench,all,watch,test,bench)
+	$(call LOCK,run,all) && $(call LOCK,desk,desk) && \
+		$(call LOCK,test,desk,test) && $(call LOCK,bench,desk,test,bench)
 	$(MAKE) test
 
 clean:

@@ -168,7 +168,7 @@ def test_without_pytest_it_says_what_to_install(project):
     status, said = run(project, "-m", "lfield", "test")
     assert (status, said) == (
         exits.UNAVAILABLE,
-        "lfield: the tests of missions need pytest: pip install pytest\n",
+        "lfield: 'lfield test' needs pytest: pip install 'lfield[desk]'\n",
     )
 
 

@@ -41,7 +41,7 @@ def run(args: argparse.Namespace) -> int:
     try:
         import pytest
     except ImportError:
-        raise PluginError("the tests of missions need pytest: pip install pytest") from None
+        raise PluginError("'lfield test' needs pytest: pip install 'lfield[desk]'") from None
     # Named twice it is loaded once; a project whose configuration names it need not be told of that.
     words = ["-p", "lfield.testing.plugin", "--tracks", os.path.abspath(args.tracks)]
     words += [flag for flag in ("-x", "-q", "-v", "-s") if getattr(args, flag[1:])]

@@ -113,7 +113,7 @@ def _need_nicegui() -> None:
     from importlib.util import find_spec
 
     if find_spec("nicegui") is None:
-        raise PluginError("the page needs nicegui, on this computer only: pip install 'lfield[watch]'")
+        raise PluginError("'lfield watch' needs nicegui on this computer: pip install 'lfield[watch]'")
 
 
 def _end_with_ctrl_c() -> None:
