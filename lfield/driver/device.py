@@ -173,7 +173,8 @@ class Device:
                 f"{told}; at most {longest:g} s (twice the ttl) is wanted{least}. "
                 f"Accept it by 'waivers: [{WATCHDOG}]' in its binding"
             )
-        self.note(f"{told} (waived by its binding)")
+        own = "none" if seconds is None else f"{seconds:g} s"
+        self.note(f"own watchdog: {own}, limit {longest:g} s: accepted by waiver")
 
     async def settings(self) -> Sequence[Setting]:
         """The lasting settings that its binding needs, each as it is now. Raises DeviceError."""

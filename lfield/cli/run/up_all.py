@@ -31,7 +31,7 @@ from lfield.operator.runs import Doors, begun, running
 from lfield.text.visible import visible
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Mapping
     from pathlib import Path
 
     from lfield.cli.views.live import LiveView
@@ -64,6 +64,18 @@ def run_all(mission: Mission, file: Path, args: argparse.Namespace, tell: Callab
         return asyncio.run(_Team(mission, file, args, reserved, addresses, doors).run())
 
 
+def summary(statuses: Mapping[str, int], status: int, seconds: float) -> str:
+    """The last line of a run of so many `seconds`: mission completed, or which hosts failed and how."""
+    end = f"after {seconds:.0f} s; exit status {status}"
+    if status == exits.DONE:
+        return f"mission completed {end}"
+    failed = [host for host, each in statuses.items() if each and each == status]
+    where = f" on {', '.join(failed)}" if failed else ""
+    how = "stopped" if status == exits.INTERRUPTED else "failed"
+    meaning = exits.MEANINGS.get(status, "a host was killed").partition(";")[0]
+    return f"mission {how}{where} {end}: {meaning.removeprefix('the mission failed: ')}"
+
+
 class _Team:
     def __init__(
         self,
@@ -88,6 +100,7 @@ class _Team:
         self.view: LiveView | None = None
 
     async def run(self) -> int:
+        started = asyncio.get_running_loop().time()
         hear_signals(self.words)
         self.words.on_second = self.hurry
         if sys.stderr.isatty():
@@ -109,8 +122,12 @@ class _Team:
         if self.view:
             await self.view.stop()
         if self.words.first.is_set():
-            return exits.worst([exits.INTERRUPTED, *(s for s in statuses if s == exits.UNSAFE)])
-        return exits.worst([self.refused, *statuses])
+            status = exits.worst([exits.INTERRUPTED, *(s for s in statuses if s == exits.UNSAFE)])
+        else:
+            status = exits.worst([self.refused, *statuses])
+        seconds = asyncio.get_running_loop().time() - started
+        print(summary(dict(zip(self.addresses, statuses, strict=True)), status, seconds), file=sys.stderr)
+        return status
 
     async def start(self, host: str) -> list[asyncio.Task[None]]:
         """Start the process of a host; returns the tasks that pass its lines on."""

@@ -19,6 +19,8 @@ from lfield.operator.sight.watched import Watched
 from lfield.text.visible import unguarded
 
 INTERVAL = 0.5
+#: A host that has not answered after so many seconds is shown as missing, with the reason.
+OVERDUE = 20.0
 
 
 class LiveView:
@@ -51,8 +53,10 @@ class LiveView:
         return self._addresses[host]
 
     async def _draw(self) -> None:
+        loop = asyncio.get_running_loop()
+        overdue = loop.time() + OVERDUE
         while True:
-            self._live.update(table(self._sight.seen()), refresh=True)
+            self._live.update(table(self._sight.seen(), starting=loop.time() < overdue), refresh=True)
             await asyncio.sleep(INTERVAL)
 
     def print(self, line: str) -> None:

@@ -164,7 +164,7 @@ def _device_state(device: DeviceStatus) -> str:
     if device.silent is not None and device.silent > SILENT:
         return f"silent {device.silent:.0f} s"
     if not device.latched:
-        return "in use" if device.silent is not None else "not heard yet"
+        return "in use" if device.silent is not None else "no telemetry yet"
     return f"safe: {device.moving}" if device.moving else "safe, at rest"
 
 
@@ -211,7 +211,7 @@ def _agents(answers: Answers[Status]) -> Table:
             if parked.state != "MOVED":
                 _add(shown, host, parked.agent, "", _parked(parked), str(parked.hops), "", "")
         if shown.row_count == before:
-            _add(shown, host, "-", "", "up, nobody here", "", "", "")
+            _add(shown, host, "-", "", "up, no agents", "", "", "")
     return shown
 
 

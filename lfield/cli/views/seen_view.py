@@ -11,20 +11,23 @@ from lfield.text.values import telemetry_in_words
 from lfield.text.visible import in_one_line
 
 
-def table(seen: Seen) -> Group:
-    """Agents by their hosts, a line for each host that is not heard; then devices."""
+def table(seen: Seen, *, starting: bool = False) -> Group:
+    """Agents by their hosts, a line for each host that is not heard; then devices.
+
+    While the hosts are `starting`, one that has not answered yet is not reported as missing.
+    """
     devices = _devices(seen)
-    return Group(_agents(seen), *(("", devices) if devices.row_count else ()))
+    return Group(_agents(seen, starting), *(("", devices) if devices.row_count else ()))
 
 
-def _agents(seen: Seen) -> Table:
+def _agents(seen: Seen, starting: bool) -> Table:
     shown = Table(box=None, pad_edge=False)
     for column in ("HOST", "AGENT", "TYPE", "STATE", "AT", "HOPS", "SERVED"):
         shown.add_column(column, justify="right" if column in ("HOPS", "SERVED") else "left")
     for name, host in seen.hosts.items():
         here = [agent for agent in seen.agents.values() if agent.host == name and _is_known(agent)]
         if not host.linked or not here:
-            _add(shown, name, "-", "", _host_state(host))
+            _add(shown, name, "-", "", _host_state(host, starting))
         for agent in here:
             moves = agent.kind == "coordinator"
             counts = ("" if agent.hops is None else str(agent.hops), "") if moves else ("", str(agent.served))
@@ -36,11 +39,11 @@ def _is_known(agent: AgentSeen) -> bool:
     return agent.age is not None
 
 
-def _host_state(host: HostSeen) -> str:
+def _host_state(host: HostSeen, starting: bool) -> str:
     if host.linked:
-        return "up, nobody here"
+        return "up, no agents"
     if host.age is None:
-        return host.trouble
+        return "starting" if starting else host.trouble
     return f"last heard {host.age:.0f} s ago: {host.trouble}"
 
 
@@ -73,7 +76,7 @@ def _device_state(device: DeviceSeen) -> str:
     if device.silent is not None and device.silent > SILENT:
         return f"silent {device.silent:.0f} s"
     if not device.latched:
-        return "in use" if device.silent is not None else "not heard yet"
+        return "in use" if device.silent is not None else "no telemetry yet"
     if not device.confirmed:
         return "safe state not confirmed"
     return f"safe: {device.moving}" if device.moving else "safe, at rest"
