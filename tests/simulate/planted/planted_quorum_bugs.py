@@ -25,8 +25,8 @@ from lfield.simulate.weather import Fault
 from lfield.vm.agent import Agent
 from lfield.wire.quorum import Ack, Heartbeat
 
-#: The seed of `parted` that finds `the_fence_is_not_on_disk`: at 7.5 s the former holder of a coordinator meets
-#: a host that had promised it to another one, and was restarted since.
+#: The seed of `parted` that finds `the_fence_is_not_on_disk`: at 7.5 s the former holder of a coordinator
+#: meets a host that had promised it to another one, and was restarted since.
 MEETING = 12
 #: By which breaches they may be found.
 TWO_ACT = frozenset({"I1", "I4", "start"})
