@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import math
+from contextlib import suppress
 
 from lfield.driver import Clock, Device, DeviceBinding, DeviceError, Manifest, Reports
 from lfield_can.bus.bus import Bus
@@ -128,11 +129,21 @@ class CanAxis(Device):
         if silent or self._quiet:
             return
         if self.protocol.needs_setup:
-            await self.protocol.setup()
-            self.note("it had restarted and is set up again, not enabled")
+            await self._set_up_again()
         if self.clock.monotonic() - self._polled >= POLL:
             self._polled = self.clock.monotonic()
             self.publish(**await self.protocol.poll())
+
+    async def _set_up_again(self) -> None:
+        """After a restart; or another device has booted with its id, and this one may be in motion."""
+        try:
+            await self.protocol.setup()
+        except DeviceError:
+            if self.protocol.conflict:
+                with suppress(DeviceError):  # it is tried again, and the conflict is what is told
+                    await self._make_safe(self.safe_state)
+            raise
+        self.note("it had restarted and is set up again, not enabled")
 
     async def _look_at_conflict(self) -> None:
         """Two devices with one id follow every command: they are told of once, and stopped."""

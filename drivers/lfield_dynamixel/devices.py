@@ -166,6 +166,9 @@ class Movers(Members):
 
     def _check_present(self, angles: Angles, seen: Seen) -> None:
         missing = [number for number in angles if number not in seen]
+        doubled = [number for number in missing if number in self.conflicts]
+        if doubled:
+            raise self.error(self.conflicts[doubled[0]])
         if missing:
             names = ", ".join(f"servo {number}" for number in missing)
             raise self.error(f"{names} {'does' if len(missing) == 1 else 'do'} not answer", timeout=True)

@@ -8,17 +8,20 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Awaitable, Callable, Iterable, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from typing import TypeVar
 
 from lfield.driver import Clock, Device, DeviceBinding, DeviceError, Manifest, Reports, Setting
 from lfield_dynamixel.bus.bus import COMMAND, POLL, SAFETY
-from lfield_dynamixel.bus.chain import Chain, Node
+from lfield_dynamixel.bus.chain import FEWEST_ROUNDS, Chain, Node
 from lfield_dynamixel.bus.packets import Status
 from lfield_dynamixel.servo import ALL, ANSWERS, FIRED, Condition, Present, Servo, condition, present
 
 #: Every so many polls the conditions are read too.
 CONDITIONS_EVERY = 10
+#: Every so many polls one member, in turn, is asked whether another servo has joined with its id.
+ROLL_CALL_EVERY = 20
 #: Seconds between two looks for a member that does not answer.
 PROBE = 0.5
 #: rad/s below which a servo stands still, and seconds that a stop may take.
@@ -152,6 +155,8 @@ class Members(Device):
         self._polls += 1
         if self._polls % CONDITIONS_EVERY == 0 or any(value.alert for value in seen.values()):
             await self.look()
+        if self._polls % ROLL_CALL_EVERY == 0 and (there := self._there()):
+            await self._call_roll(there[self._polls // ROLL_CALL_EVERY % len(there)])
 
     async def observe(self, *, urgency: int = COMMAND, alone: bool = True) -> Seen:
         """What the members that answer measure now. Who is silent is looked for now and then only."""
@@ -194,10 +199,20 @@ class Members(Device):
             found.append(servo)
         return found
 
-    async def _is_doubled(self, servo: Servo, urgency: int) -> bool:
-        """Whether another servo with its id has joined; that is told once."""
+    async def _call_roll(self, servo: Servo) -> None:
+        """Hold where they are all members, when another servo has joined with the id of one."""
+        if not await self._is_doubled(servo, POLL, fewest=1):
+            return
+        with suppress(DeviceError):  # those that hear it stop
+            await self._stop()
         number = servo.node.number
-        conflict = await self.chain.roll_call(servo.node, *servo.model.present, urgency=urgency)
+        self._probe_at[number] = self.clock.monotonic() + PROBE
+        self.conditions.pop(number, None)
+
+    async def _is_doubled(self, servo: Servo, urgency: int, fewest: int = FEWEST_ROUNDS) -> bool:
+        """Whether another servo with its id has joined; that is told once."""
+        number, place = servo.node.number, servo.model.present
+        conflict = await self.chain.roll_call(servo.node, *place, urgency=urgency, fewest=fewest)
         if conflict and number not in self.conflicts:
             self.note(conflict)
         self.conflicts.pop(number, None)
@@ -228,10 +243,13 @@ class Members(Device):
             return error.reason
         return torque
 
+    def _there(self) -> list[Servo]:
+        """The members that answered last time."""
+        return [servo for number, servo in self.servos.items() if number not in self._probe_at]
+
     async def look(self) -> None:
         """Read the conditions of the members that answer, and publish them."""
-        asked = [servo for number, servo in self.servos.items() if number not in self._probe_at]
-        answers = await self._read(asked, "state", COMMAND)
+        answers = await self._read(self._there(), "state", COMMAND)
         for number, status in answers.items():
             new, old = condition(self.servos[number].model, status), self.conditions.get(number)
             self.conditions[number] = new
@@ -253,16 +271,22 @@ class Members(Device):
     # -- safe states ------------------------------------------------------------------------------------
 
     async def _make_safe(self, state: str) -> None:
+        begun = self.clock.monotonic()
+        await self._stop(state)
         if state == "torque_off":
-            begun = self.clock.monotonic()
-            await self.go_limp(SAFETY)
             await self.observe(urgency=SAFETY, alone=False)
             # What was measured before says nothing of what it does now.
             self._seen = {number: seen for number, seen in self._seen.items() if seen[0] >= begun}
             return
+        await self.each(self.servos.values(), self._be_still)
+
+    async def _stop(self, state: str = "") -> None:
+        """Command a safe state ('': that of the binding) to all members."""
+        if (state or self.safe_state) == "torque_off":
+            await self.go_limp(SAFETY)
+            return
         seen = await self.observe(urgency=SAFETY, alone=False)
         await self.send({servo: _stay(servo, place) for servo, place in self._places(seen).items()})
-        await self.each(self.servos.values(), self._be_still)
 
     def _moving(self) -> str:
         told = {number: self._still_does(number) for number in self.servos}

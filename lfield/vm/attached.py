@@ -69,8 +69,11 @@ class Signs(Protocol):
     def is_silent(self, member: Member) -> bool:
         """Whether its host has not been heard, though there is a link."""
 
-    def ask(self, member: Member) -> None:
-        """Ask its host for a sign of life; nobody is sent there before it has come."""
+    def ask(self, member: Member, within: float) -> None:
+        """Ask its host for a sign of life; nobody is sent there before it has come.
+
+        A host that was heard in the last `within` seconds need not be asked.
+        """
 
     def is_asked(self, member: Member) -> bool:
         """Whether that is still waited for."""

@@ -209,8 +209,13 @@ class TimeLimits:
 
     def lateness(self, agent: Agent) -> float:
         """By how many seconds the end of the block is late that a coordinator leaves; 0 for in time."""
+        seconds = self.over_for(agent)
+        return seconds if seconds >= LATE else 0.0
+
+    def over_for(self, agent: Agent) -> float:
+        """For how many seconds the last limit is over around the block that is left; 0 for none."""
         ends = self._ends_over(agent)
-        return self._seconds_since(agent, max(ends)) if ends else 0.0
+        return max(0.0, (self._scheduler.clock_of(agent) - max(ends)) / 1e9) if ends else 0.0
 
     def _seconds_since(self, agent: Agent, end: int) -> float:
         seconds = (self._scheduler.clock_of(agent) - end) / 1e9

@@ -132,9 +132,12 @@ class CanopenNode:
         """Whether the object dictionary has the object."""
         return self._find(index, subindex) is not None
 
-    async def is_doubled(self) -> bool:
-        """Whether two nodes answer to this id: a few questions, a fraction of a second."""
-        self._roll_call = roll_call = RollCall()
+    async def is_doubled(self, *, briefly: bool = False) -> bool:
+        """Whether two nodes answer to this id: a few questions, a fraction of a second.
+
+        `briefly`: one question, as long as it is answered once.
+        """
+        self._roll_call = roll_call = RollCall(1) if briefly else RollCall()
         try:
             while (key := roll_call.next_key()) is not None:
                 self._send(_MARK)

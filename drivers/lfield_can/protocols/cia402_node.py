@@ -260,7 +260,15 @@ class Cia402Node(AxisProtocol):
                 self.on_values({entry: value})
 
     async def poll(self) -> Mapping[str, object]:
-        """The supply voltage, the cause of a fault that was not told, and what comes only when it changes."""
+        """The supply voltage, the cause of a fault that was not told, and what comes only when it changes.
+
+        A second node may have been plugged in with its power on, without a boot-up message: then the set-up
+        comes next, which names it.
+        """
+        if await self.objects.is_doubled(briefly=True):
+            self.configured, self.needs_setup = False, True
+            self.forget("not set up")
+            return self._told()
         if self.agreed.by_changes:
             await self.ask()
         volts = await self._supply()

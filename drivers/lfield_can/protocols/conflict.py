@@ -37,9 +37,13 @@ APART = 0.05
 
 
 class RollCall:
-    """The rounds of one set-up. A late answer counts for its own round."""
+    """The rounds of one set-up, or of one look. A late answer counts for its own round.
 
-    def __init__(self) -> None:
+    Without any answer too many it ends after `fewest` rounds.
+    """
+
+    def __init__(self, fewest: int = FEWEST) -> None:
+        self._fewest = fewest
         # By object: requests that were sent, requests that were heard, and answers.
         self._requests: dict[Key, int] = {}
         self._heard: Counter[Key] = Counter()
@@ -50,7 +54,7 @@ class RollCall:
         """What to ask about in the next round, after its mark; None when enough is known."""
         done, surplus = len(self._requests), self._surplus
         unanswered = sum(1 for key in self._requests if not self._answers[key])
-        if surplus >= PROOF or unanswered >= SILENT or done >= (len(ASKED) if surplus else FEWEST):
+        if surplus >= PROOF or unanswered >= SILENT or done >= (len(ASKED) if surplus else self._fewest):
             return None
         self._requests[ASKED[done]] = 0
         return ASKED[done]

@@ -110,11 +110,14 @@ class Chain:
         packet = node.codec.encode(node.number, INST_WRITE, node.place(start) + data)
         await self._bus.exchange(node.codec, packet, (), 0)
 
-    async def roll_call(self, node: Node, start: int, size: int, *, urgency: int = COMMAND) -> str:
+    async def roll_call(
+        self, node: Node, start: int, size: int, *, urgency: int = COMMAND, fewest: int = FEWEST_ROUNDS
+    ) -> str:
         """Why two servos seem to have an id, in words; '' where one answers.
 
         Each of two answers every question: one after the other, or both at once, so that what comes is
-        damaged. Answers get lost and lines are noisy, so there are several rounds, and one proves nothing.
+        damaged. Answers get lost and lines are noisy, so there are several rounds, `fewest` at least, and one
+        proves nothing.
         """
         packet = node.codec.encode(node.number, INST_READ, node.place(start, size))
         single = doubled = damaged = 0
@@ -126,7 +129,7 @@ class Chain:
             damaged += bool(heard) and not answers
             if doubled >= PROOF:
                 return f"two servos answer to the id {node.number}; give each its own"
-            if single >= FEWEST_ROUNDS + 2 * (doubled + damaged):
+            if single >= fewest + 2 * (doubled + damaged):
                 return ""
         if damaged > MOST_ROUNDS // 2:
             return (

@@ -67,10 +67,13 @@ class Absent:
         grace = min(MOST_GRACE, max(GRACE, answer))
         return silent or (self._is_unanswered(host, heard) and now >= self._asked[host] + grace)
 
-    def ask(self, host: str) -> None:
-        """Ask a linked host for a sign of life, unless it was heard just now or is being asked."""
+    def ask(self, host: str, within: float = JUST_NOW) -> None:
+        """Ask a linked host for a sign of life, unless it is being asked or was heard just now.
+
+        That is `within` so many seconds, and within 0.1 s.
+        """
         heard, now = self._nearby.last_heard(host), self._clock.monotonic()
-        if heard is None or not self._hearsay.is_linked(host) or now - heard <= JUST_NOW:
+        if heard is None or not self._hearsay.is_linked(host) or now - heard <= min(within, JUST_NOW):
             return
         if not self._is_unanswered(host, heard) and self._mobility.ask(host):
             self._asked[host] = now
@@ -135,9 +138,9 @@ class SignsOfLife:
         """Whether its host has not been heard, though there is a link."""
         return self._absent.is_silent(self._hosts[member.host])
 
-    def ask(self, member: Member) -> None:
-        """Ask its host for a sign of life."""
-        self._absent.ask(self._hosts[member.host])
+    def ask(self, member: Member, within: float) -> None:
+        """Ask its host for a sign of life, unless it was heard in the last `within` seconds."""
+        self._absent.ask(self._hosts[member.host], within)
 
     def is_asked(self, member: Member) -> bool:
         """Whether that is still waited for."""

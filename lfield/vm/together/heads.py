@@ -199,7 +199,7 @@ class Together:
             return self._departs(agent, thread, state)
         for ticket in self._visits.tickets(agent, thread):
             if ticket.state in (BEGUN, TOLD) and not self._visits.is_here(ticket):
-                signs.ask(self._visits.resource(ticket))
+                signs.ask(self._visits.resource(ticket), self._limits.over_for(agent))
         while away := self._visits.away(self._visits.tickets(agent, thread), state):
             target = self._visits.resource(away[0])
             if not signs.is_silent(target):

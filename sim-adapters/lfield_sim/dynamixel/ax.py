@@ -185,7 +185,8 @@ class AxServo(Servo):
         elif name == "goal_position":
             self.table.put("torque_enable", 1)
             self.motion.approach()
-        elif name == "moving_speed" and self.motion.moving:
+        elif name == "moving_speed":
+            # Also one that comes in one packet behind the goal, and ends a way at full speed (0).
             self.motion.approach()
 
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 from lfield_sim.dynamixel.instructions import Answer, Outcome, carry_out
 from lfield_sim.dynamixel.model import BAUDS
-from lfield_sim.dynamixel.packets import BROADCAST, MAX_PACKET, Codec, Codec1, Codec2, Packet, fast_status
+from lfield_sim.dynamixel.packets import MAX_PACKET, Codec, Codec1, Codec2, Packet, fast_status
 from lfield_sim.dynamixel.servo import Servo
 from lfield_sim.dynamixel.table import Refusal
 from lfield_sim.faults import Fault, Faults, share
@@ -139,13 +139,13 @@ class Chain:
         self._free += packet.size * BITS / outcome.answers[0].baud
         if outcome.fast:
             return self._say_fast(outcome)
-        if len(outcome.answers) > 1 and packet.id != BROADCAST:
-            return self._collide(outcome.answers, protocol)
-        replies = [self._reply(answer, self._status(answer, protocol)) for answer in outcome.answers]
-        return [reply for reply in replies if reply.data]
+        replies: list[Reply] = []
+        for _, group in itertools.groupby(outcome.answers, lambda answer: answer.id):
+            replies += self._collide(list(group), protocol)
+        return replies
 
     def _collide(self, answers: Sequence[Answer], protocol: int) -> list[Reply]:
-        """Servos with one id, who answer at once: who waits longer than the others talk is heard by itself.
+        """Servos with one id answer at once: one that waits longer than the others talk is heard by itself.
 
         The line is low where anybody has it low.
         """
@@ -171,6 +171,11 @@ class Chain:
             if self._happens("lose", answer.servo):
                 break
             blocks.append((self._id(answer), answer.error | answer.servo.alert, answer.data))
+            if len(blocks) > 1 and blocks[-2][0] == blocks[-1][0]:
+                # Two with one id talk at once; the last servo makes the check sum of what it has heard.
+                (number, one_error, one), (_, other_error, other) = blocks[-2:]
+                both = bytes(a & b for a, b in zip(one, other, strict=True))
+                blocks[-2:] = [(number, one_error & other_error, both)]
         if not blocks:
             return []
         return [self._reply(outcome.answers[0], fast_status(outcome.fast, blocks))]

@@ -214,23 +214,24 @@ def _bulk_wishes_1(cursor: _Cursor) -> Iterator[Wish]:
 def _group(packet: Packet, protocol: int, servos: Sequence[Servo], wishes: Sequence[Wish]) -> Outcome:
     """Each answers after the one before it in the list; one that does not answer stops all that follow.
 
-    Nobody answers to a list that has an id twice, or that a shared packet has no room for.
+    Nobody answers to a list that has an id twice, or that a shared packet has no room for. Servos with one
+    id answer one after the other here, and at one time on the wire.
     """
     fast = packet.instruction in (Instruction.FAST_SYNC_READ, Instruction.FAST_BULK_READ)
     size = sum(length + _FAST_FRAME for _, _, length in wishes)
-    by_id = {servo.id: servo for servo in servos}
     twice = len({id for id, _, _ in wishes}) < len(wishes)
     if packet.id != BROADCAST or twice or (fast and size > MAX_PACKET):
         return Outcome()
     answers = []
     for id, address, length in wishes:
-        servo = by_id.get(id)
-        if servo is None or servo.table["status_return_level"] < _READ_LEVEL:
+        asked = [s for s in servos if s.id == id and s.table["status_return_level"] >= _READ_LEVEL]
+        if not asked:
             break
-        try:
-            error, data = 0, _read(servo, address, length, protocol)
-        except Refused as refused:
-            # In a packet that is shared every block has its size, whatever is in it.
-            error, data = refused.reason, bytes(length) if fast else b""
-        answers.append(Answer(servo, id, servo.baud, error, data))
+        for servo in asked:
+            try:
+                error, data = 0, _read(servo, address, length, protocol)
+            except Refused as refused:
+                # In a packet that is shared every block has its size, whatever is in it.
+                error, data = refused.reason, bytes(length) if fast else b""
+            answers.append(Answer(servo, id, servo.baud, error, data))
     return Outcome(answers, size if fast else 0)

@@ -226,6 +226,57 @@ def test_a_second_device_that_joins_later_is_named_and_nothing_moves(rig):
     b.run(mission)
 
 
+@pytest.mark.parametrize("boots", [True, False])
+def test_a_second_device_that_joins_stops_the_first_one_in_motion(rig, boots):
+    """Also one that is plugged in with its power on, which sends no boot-up message; nobody commands it."""
+    b = rig()
+
+    async def mission(axis):
+        await axis.execute("enable", [])
+        await axis.execute("setVelocity", [1.0])
+        await asyncio.sleep(0.5)
+        first, said = b.wire.drives[0], b.wire.say
+        assert first.velocity > 0.0
+        if not boots:
+            b.wire.say = lambda identifier, data: None
+        second = b.wire.join()
+        b.wire.say = said
+        await asyncio.sleep(2.5)
+        assert any("two devices" in note for note in b.notes)
+        assert first.velocity == second.velocity == 0.0
+        assert first.state != 0x0237
+        with pytest.raises(DeviceError, match=TWO):
+            await axis.execute("setVelocity", [1.0])
+
+    b.run(mission)
+    assert sum("two devices" in note for note in b.notes) == 1
+
+
+@pytest.mark.parametrize("every", [1, 7])
+def test_an_axis_in_motion_is_not_stopped_by_answers_that_come_twice_now_and_then(rig, every):
+    b = rig()
+
+    async def mission(axis):
+        await axis.execute("enable", [])
+        await axis.execute("setVelocity", [1.0])
+        said, count = b.wire.say, [0]
+
+        def at_times_twice(identifier, data):
+            said(identifier, data)
+            if identifier == 0x580 + NODE and struct.unpack_from("<H", data, 1)[0] != 0x1018:
+                count[0] += 1
+                if count[0] % every == 0:
+                    said(identifier, data)
+
+        b.wire.say = at_times_twice
+        for _ in range(10):
+            await asyncio.sleep(0.5)
+            await axis.execute("setVelocity", [1.0])
+        assert b.wire.drives[0].velocity > 0.0
+
+    b.run(mission)
+
+
 def test_a_request_of_another_client_is_no_sign_of_life(rig):
     b = rig()
 

@@ -241,6 +241,36 @@ def test_a_second_servo_that_joins_is_named_and_nothing_moves():
     assert sum("two servos" in note for note in b.notes) == 1
 
 
+@pytest.mark.parametrize("ids", [(1,), (1, 2)])
+@pytest.mark.parametrize("protocol", [1, 2])
+@pytest.mark.parametrize("delay", [254, None])
+def test_a_second_servo_that_joins_while_the_first_answers_is_named_and_stopped(protocol, ids, delay):
+    """Its answers come after those of the first, or damage them; the motion ends with an exception."""
+    b = bench(protocol, *ids, limits={"speed": 2.0})
+    if delay:
+        b.servos[1].table.put("return_delay_time", 0)
+
+    def places(angle):
+        return [angle] * len(ids) if len(ids) > 1 else angle
+
+    async def story(device):
+        await call(device, "torque", True)
+        await call(device, "setProfile", 0.2, 0.0)
+        motion = asyncio.ensure_future(call(device, "moveTo", places(2.0)))
+        await asyncio.sleep(1.0)
+        twin(b, 1, delay=delay)
+        began = asyncio.get_running_loop().time()
+        with pytest.raises(DeviceError, match=r"two servos|come damaged|does not answer"):
+            await motion
+        assert asyncio.get_running_loop().time() - began < 2.5
+        await b.until(lambda: any("two servos" in note for note in b.notes))
+        with pytest.raises(DeviceError, match="two servos"):
+            await call(device, "moveTo", places(0.5))
+
+    b.run(story)
+    assert sum("two servos" in note for note in b.notes) == 1
+
+
 @pytest.mark.parametrize("protocol", [1, 2])
 def test_lost_late_and_damaged_answers_are_no_second_servo(protocol):
     b = bench(protocol, 1)

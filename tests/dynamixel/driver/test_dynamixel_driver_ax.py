@@ -30,6 +30,23 @@ def test_it_moves():
     bench.run(story)
 
 
+@pytest.mark.parametrize("instruction", ["moveTo", "setPosition"])
+def test_the_first_motion_after_power_keeps_the_limit_of_speed(instruction):
+    """Its register of speed is 0 then, which is the greatest; goal and speed come in one packet."""
+    bench = ax(4, limits={"speed": 0.5})
+
+    async def story(servo):
+        await call(servo, "torque", True)
+        motion = asyncio.ensure_future(call(servo, instruction, 1.0))
+        for _ in range(100):
+            await asyncio.sleep(0.02)
+            assert abs(bench.values["velocity"]) < 0.6
+        await motion
+        assert bench.values["position"] == pytest.approx(1.0, abs=0.1)
+
+    bench.run(story)
+
+
 def test_it_has_no_watchdog_and_the_binding_must_say_so():
     async def story(servo):
         with pytest.raises(DeviceError, match="no watchdog of its own"):

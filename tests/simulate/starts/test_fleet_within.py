@@ -185,8 +185,11 @@ def test_a_block_ends_with_its_time_though_a_host_cannot_be_reached(
     "script",
     [
         {3.4: island("bravo", quietly=True)},
-        # A host that was heard in the last 0.1 s is not asked.
+        # Also one that was heard a moment before the end is asked when the time is over.
         {3.88: island("bravo", quietly=True)},
+        {3.94: island("bravo", quietly=True)},
+        {3.99: island("bravo", quietly=True)},
+        {3.96: island("carol", quietly=True)},
         # Then it stands on the host that is cut off.
         {3.0: island("carol", quietly=True)},
         {3.0: mute("bravo")},

@@ -1,0 +1,41 @@
+"""A stranger that connects without an end and sends nothing: `python connecting.py PORT KEEP`.
+
+Prints how often it has connected, once a second. `KEEP` connections stay open, the oldest is closed first.
+"""
+
+from __future__ import annotations
+
+import socket
+import struct
+import sys
+import time
+from collections import deque
+
+#: A connection is closed by a reset, so that this computer does not run out of ports.
+RESET = struct.pack("ii", 1, 0)
+
+
+def main() -> None:
+    """Connect until stopped."""
+    port, keep = int(sys.argv[1]), int(sys.argv[2])
+    links: deque[socket.socket] = deque()
+    count, told = 0, time.monotonic()
+    while True:
+        link = socket.socket()
+        link.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, RESET)
+        link.settimeout(5.0)
+        try:
+            link.connect(("127.0.0.1", port))
+            links.append(link)
+            count += 1
+        except OSError:
+            link.close()
+        if len(links) > keep:
+            links.popleft().close()
+        if time.monotonic() - told >= 1.0:
+            told = time.monotonic()
+            print(count, flush=True)
+
+
+if __name__ == "__main__":
+    main()
