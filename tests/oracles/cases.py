@@ -161,10 +161,11 @@ CASES: Cases = {
         "version": ["--version"],
         "refused": ["", "fly", "ps --deploy", "ps ''", f"ps --deploy {SERVER}.dL --deploy {LIFT}.dL"],
     },
-    "running": {
-        "nothing runs": [
-            *(f"{name}" for name in ("ps", "ps --json", "watch", "events", "logs", "query Lift", "estop")),
+    "nothing runs": {
+        name: [name]
+        for name in (
+            *("ps", "ps --json", "watch", "events", "logs", "query Lift", "estop"),
             *("start", "pause", "resume", "forget tom", "recover tom"),
-        ]
+        )
     },
 }

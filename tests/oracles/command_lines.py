@@ -10,7 +10,7 @@ from collections.abc import Iterable
 from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
 
-from golden_files import shortened
+from golden_files import MOST, shortened
 
 from lfield import __version__
 from lfield.cli.main import main
@@ -21,6 +21,7 @@ FOLDER = "OUT"
 #: What no refactoring needs to keep, and what depends on the time of the run.
 MASKS = (
     (re.compile(r"\d{4}-\d\d-\d\d \d\d:\d\d(:\d\d)?( UTC)?"), "TIME"),
+    (re.compile(r"\b\d\d:\d\d:\d\d\.\d{3}\b"), "TIME"),
     (re.compile(rf"\b{re.escape(__version__)}\b"), "VERSION"),
     (re.compile(rf"\({re.escape(socket.gethostname())}\)"), "(COMPUTER)"),
     (re.compile(r"looked into \S+( and \S+)*"), "looked into FOLDERS"),
@@ -40,14 +41,14 @@ def transcript(lines: Iterable[str], folder: Path) -> str:
     return "".join(recorded(line, folder) for line in lines)
 
 
-def recorded(line: str, folder: Path) -> str:
-    """One command line with its output."""
+def recorded(line: str, folder: Path, most: int = MOST) -> str:
+    """One command line with its output, of which so many characters are kept."""
     words = [word.replace(FOLDER, str(folder)) for word in shlex.split(line)]
     out, err = io.StringIO(), io.StringIO()
     with redirect_stdout(out), redirect_stderr(err):
         status = main(words)
-    said = prefixed("| ", shortened(masked(out.getvalue(), folder)))
-    said += prefixed("! ", shortened(masked(err.getvalue(), folder)))
+    said = prefixed("| ", shortened(masked(out.getvalue(), folder), most))
+    said += prefixed("! ", shortened(masked(err.getvalue(), folder), most))
     return f"$ lfield {line}\n{said}= {status}\n"
 
 

@@ -6,7 +6,7 @@
     ! a line of stderr
     = 0
 
-A text of more than MOST characters is stored as its number of lines and its SHA-256.
+A long text is stored as its number of lines and its SHA-256.
 """
 
 from __future__ import annotations
@@ -58,9 +58,9 @@ class GoldenFile:
         self.path.write_text("".join(texts), encoding="utf-8")
 
 
-def shortened(text: str) -> str:
-    """The text, or what stands for a long one."""
-    if len(text) <= MOST:
+def shortened(text: str, most: int = MOST) -> str:
+    """The text, or what stands for one of more than so many characters."""
+    if len(text) <= most:
         return text
     return f"({text.count(chr(10))} lines, SHA-256 {digest(text)})\n"
 
