@@ -118,6 +118,7 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--every-case", action="store_true", help="all cases of the tests marked few(COUNT)")
+    parser.addoption("--rewrite", action="store_true", help="write the golden files of tests/oracles anew")
 
 
 def chosen(cases: list[pytest.Function], count: int) -> list[pytest.Function]:

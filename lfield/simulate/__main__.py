@@ -18,7 +18,7 @@ from pathlib import Path
 from lfield.errors import LfieldError, ProgramError
 from lfield.mission.load import load_mission
 from lfield.simulate.fleet import Fleet
-from lfield.simulate.seeds import run
+from lfield.simulate.seeds import IN_A_LINE, lines_of, run
 from lfield.simulate.stories.drawing import KINDS, drawn
 from lfield.simulate.stories.story import Story
 from lfield.simulate.stories.trial import tell
@@ -33,7 +33,7 @@ def main() -> int:
     parser = _parser()
     args = parser.parse_args()
     if args.seeds is not None:
-        return 1 if run(range(args.first, args.first + args.seeds), args.processes).broken else 0
+        return _seeds(parser, args)
     if args.story is not None:
         return _story(args)
     if args.mission is None:
@@ -48,6 +48,7 @@ def _parser() -> argparse.ArgumentParser:
     many.add_argument("--seeds", type=_count, metavar="N", help="tell and judge the stories of N seeds")
     many.add_argument("--first", type=int, default=0, metavar="SEED", help="the first of them")
     many.add_argument("--processes", type=_count, default=0, metavar="N", help="one for each core")
+    many.add_argument("--outcomes", type=Path, metavar="FILE", help="write what came of each, as digests")
     many.add_argument("--story", type=int, metavar="SEED", help="tell one again, as it is or smaller:")
     for name in ("hosts", "walkers", "arms"):
         many.add_argument(f"--{name}", type=int, metavar="N")
@@ -60,6 +61,15 @@ def _parser() -> argparse.ArgumentParser:
     kinds = f"mean seconds between two faults of a kind: {', '.join(FAULTS)}"
     one.add_argument("--faults", metavar="KIND=SECONDS", type=_fault, nargs="*", default=[], help=kinds)
     return parser
+
+
+def _seeds(parser: argparse.ArgumentParser, args: argparse.Namespace) -> int:
+    if args.outcomes and (args.first or args.seeds % IN_A_LINE):
+        parser.error(f"--outcomes needs --first 0, and a multiple of {IN_A_LINE} for --seeds")
+    tally = run(range(args.first, args.first + args.seeds), args.processes)
+    if args.outcomes:
+        args.outcomes.write_text("\n".join([*lines_of(tally.outcomes), ""]), encoding="utf-8")
+    return 1 if tally.broken else 0
 
 
 def _story(args: argparse.Namespace) -> int:

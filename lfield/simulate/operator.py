@@ -29,6 +29,8 @@ from lfield.wire.observing import EmergencyStopped, StartRequest, StartResponse,
 #: What holds until it is taken back.
 Hold = Literal["stop", "pause"]
 REASON = "pressed in a simulation"
+#: A set of tasks in the order of their begin: that of a set depends on addresses in memory.
+Tasks = dict[asyncio.Task[None], None]
 
 _Answers = Mapping[Place, Status | LfieldError]
 
@@ -66,8 +68,8 @@ class Operator:
         self.presses: Counter[Hold] = Counter()
         #: What gives an order of a kind, and what takes one back, until every host has answered. A person
         #: does one of the two at a time.
-        self._pressing: defaultdict[Hold, set[asyncio.Task[None]]] = defaultdict(set)
-        self._lifting: defaultdict[Hold, set[asyncio.Task[None]]] = defaultdict(set)
+        self._pressing: defaultdict[Hold, Tasks] = defaultdict(dict)
+        self._lifting: defaultdict[Hold, Tasks] = defaultdict(dict)
         #: What is to be done with coordinators whose host is gone for good.
         self._orphans: dict[str, Callable[[str, _Answers], Awaitable[bool]]] = {}
         self._looks = self._starts = False
@@ -81,14 +83,14 @@ class Operator:
 
     def press(self, hold: Hold, seconds: float) -> None:
         """Stop or pause the team, and take that back after so many seconds."""
-        self._interrupt(self._lifting.pop(hold, set()))
+        self._interrupt(self._lifting.pop(hold, {}))
         self.presses[hold] += 1
         self._held[hold] = max(self._held.get(hold, 0.0), self._fleet.now + seconds)
         self._fleet.later(seconds, partial(self._let_go, hold))
         for place in self._places:
             self._begin(partial(self._order, hold, place))
 
-    def _interrupt(self, tasks: set[asyncio.Task[None]]) -> None:
+    def _interrupt(self, tasks: Tasks) -> None:
         """As by Ctrl-C: what is on its way already may come later."""
         for task in list(tasks):
             self._process.loop.enter(task.cancel)
@@ -119,7 +121,7 @@ class Operator:
             self._begin(partial(self._lift, hold))
 
     async def _lift(self, hold: Hold) -> None:
-        self._interrupt(self._pressing.pop(hold, set()))
+        self._interrupt(self._pressing.pop(hold, {}))
         with _listed(self._lifting[hold]):
             await ask_all(self._transport, self._places, self._request(hold, lift=True))
         if hold == "stop":
@@ -208,12 +210,12 @@ class Operator:
 
 
 @contextmanager
-def _listed(tasks: set[asyncio.Task[None]]) -> Iterator[None]:
+def _listed(tasks: Tasks) -> Iterator[None]:
     """The task that runs now is one of these meanwhile."""
     task = asyncio.current_task()
     assert task is not None
-    tasks.add(task)
+    tasks[task] = None
     try:
         yield
     finally:
-        tasks.discard(task)
+        tasks.pop(task, None)

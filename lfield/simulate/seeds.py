@@ -10,7 +10,7 @@ import multiprocessing
 import os
 import time
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 
@@ -40,6 +40,7 @@ class Tally:
     recovered: int = 0
     broken: list[Verdict] = field(default_factory=list)
     digests: dict[int, str] = field(default_factory=dict)
+    outcomes: dict[int, str] = field(default_factory=dict)
 
     def add(self, verdict: Verdict) -> None:
         """One more."""
@@ -50,6 +51,7 @@ class Tally:
         self.restarts += verdict.restarts
         self.recovered += verdict.recovered
         self.digests[verdict.story.seed] = verdict.digest
+        self.outcomes[verdict.story.seed] = verdict.outcome
         if verdict.breaches:
             self.broken.append(verdict)
 
@@ -58,6 +60,22 @@ class Tally:
         """What tells these runs from others."""
         lines = (f"{seed} {digest}\n" for seed, digest in sorted(self.digests.items()))
         return hashlib.sha256("".join(lines).encode()).hexdigest()
+
+
+#: So many digits of an outcome are written, of so many seeds in a line.
+DIGITS, IN_A_LINE = 8, 10
+
+
+def lines_of(outcomes: Mapping[int, str]) -> list[str]:
+    """Outcomes by seed as lines: the first seed of a line, then the digests of the next ten seeds.
+
+    Raises ValueError unless the seeds are the first 10, 20, 30 ...
+    """
+    count = len(outcomes)
+    if sorted(outcomes) != [*range(count)] or count % IN_A_LINE:
+        raise ValueError(f"outcomes are written for all seeds from 0 to a multiple of {IN_A_LINE}")
+    lines = [range(first, first + IN_A_LINE) for first in range(0, count, IN_A_LINE)]
+    return [" ".join([str(seeds[0]), *(outcomes[seed][:DIGITS] for seed in seeds)]) for seeds in lines]
 
 
 #: Draws the story of a seed.

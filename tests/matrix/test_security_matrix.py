@@ -11,7 +11,7 @@ import pytest
 from bundles_shown import Bundles
 from callers import Network
 from key_folders import Folders
-from planted_holes import HOLES, ROOT
+from planted_holes import HOLES, ROOT, noticed
 from portal_rules import Portals
 from security_table import PAGE, Cell, cells, page, ways
 from users import Users
@@ -118,3 +118,10 @@ def test_there_are_cells_enough_and_ways_have_both_marks():
 def test_holes_can_still_be_planted(hole):
     text = (ROOT / "lfield" / hole.file).read_text(encoding="utf-8")
     assert text.count(hole.stands) == 1
+
+
+@pytest.mark.few(0)
+@pytest.mark.parametrize("hole", HOLES, ids=lambda hole: hole.name)
+def test_a_planted_hole_is_noticed(hole):
+    """In a copy of lfield that has the hole, a cell of the matrix fails."""
+    assert noticed(hole) > 0

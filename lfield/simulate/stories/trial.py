@@ -12,9 +12,10 @@ from dataclasses import dataclass, field
 from lfield import exits
 from lfield.mission.bindings import MOST_MEMBERS
 from lfield.simulate.computers.timeline import Endless
-from lfield.simulate.fleet import Fleet
+from lfield.simulate.fleet import Fleet, Life
 from lfield.simulate.judging.breaches import Breach
 from lfield.simulate.judging.judge import ENOUGH, Judge
+from lfield.simulate.judging.outcome import Outcome
 from lfield.simulate.stories.story import RESERVES, Story
 from lfield.simulate.weather import Storm
 
@@ -34,6 +35,7 @@ SETTLES, ROAMS = 12.0, 4.0
 class Verdict:
     """What came of a story. `seconds` of virtual time; `faults` as they struck.
 
+    `digest` covers every log line and the number of events; `outcome` what programs and devices did only.
     `calls` that began, `restarts` that a walker was told of, starts that a majority or a person has
     `recovered`, `orders` of a person that hosts have carried out, by kind.
     """
@@ -41,6 +43,7 @@ class Verdict:
     story: Story
     breaches: tuple[Breach, ...]
     digest: str
+    outcome: str
     seconds: float
     faults: tuple[tuple[float, str], ...]
     calls: int
@@ -62,14 +65,19 @@ def tell(story: Story, *, keep_log: bool = False) -> Verdict:
 
 
 def _told(story: Story, *, keep_log: bool) -> Verdict:
-    judge = Judge()
+    judge, outcome = Judge(), Outcome()
+
+    def born(name: str, life: Life) -> None:
+        judge.born(name, life)
+        outcome.born(name, life)
+
     fleet = judge.fleet = Fleet(
         story.mission,
         story.seed,
         unreachable_after=story.unreachable_after,
         lost_after=story.lost_after,
         keeps=story.journals,
-        born=judge.born,
+        born=born,
         slowness=story.slowness,
     )
     for disk in fleet.disks.values():
@@ -79,13 +87,14 @@ def _told(story: Story, *, keep_log: bool) -> Verdict:
     # A guard whose host is gone tells the terminal.
     with contextlib.redirect_stderr(io.StringIO()):
         _happen(fleet, storm, judge, story)
+        orders = dict(storm.operator.carried_out) if storm.operator else {}
+        came_of_it = outcome.digest(fleet, orders, [breach.name for breach in judge.breaches])
         fleet.close()
     said = hashlib.sha256(f"{fleet.digest} {fleet.timeline.events} {storm.faults}".encode()).hexdigest()
     log = tuple(fleet.log) if keep_log else ()
     recovered, faults = judge.seen["recoveries"], tuple(storm.faults)
-    breaches, orders = tuple(judge.breaches), dict(storm.operator.carried_out) if storm.operator else {}
     counts = judge.calls, judge.restarts, recovered, orders
-    return Verdict(story, breaches, said, fleet.now, faults, *counts, log)
+    return Verdict(story, tuple(judge.breaches), said, came_of_it, fleet.now, faults, *counts, log)
 
 
 def _happen(fleet: Fleet, storm: Storm, judge: Judge, story: Story) -> None:

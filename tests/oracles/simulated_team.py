@@ -1,0 +1,95 @@
+"""A simulated team, and the commands of an operator that ask it: real ones, in virtual time.
+
+The commands run in this process. Where they would run an event loop, the loop of a process on a simulated
+computer runs instead, and the whole team with it.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import random
+from collections.abc import Callable, Coroutine
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import pytest
+from command_lines import recorded
+
+from lfield.clock import SystemClock
+from lfield.loop import spawn
+from lfield.mission.load import load_mission
+from lfield.net.tcp import TcpTransport
+from lfield.operator import ask
+from lfield.simulate.fleet import PORT, Fleet, copies
+from lfield.simulate.network import resident
+
+DEPLOYMENT = Path(__file__).parent / "team" / "patrol.dL"
+#: Seconds of virtual time between two looks whether a command has ended.
+STEP = 0.05
+#: Seconds of virtual time that a command may take.
+PATIENCE = 200.0
+#: So many characters of one output are kept: all of the status of three hosts as JSON.
+KEPT = 40_000
+
+
+class SimulatedTeam:
+    """The team of `team/patrol.dL`, and a computer beside it on which commands run."""
+
+    def __init__(self, folder: Path, patch: pytest.MonkeyPatch) -> None:
+        self.fleet = Fleet(load_mission(DEPLOYMENT, simulate=True), seed=1)
+        self._folder = folder
+        self._process = self.fleet.station("desk", random.Random(2))
+        clock = self._process.loop.machine.clock
+        patch.setattr(SystemClock, "monotonic", lambda self: clock.monotonic())
+        patch.setattr(SystemClock, "time", lambda self: clock.time())
+        patch.setattr(ask, "TcpTransport", partial(TcpTransport, resident=resident))
+        patch.setattr(asyncio, "run", self._run)
+        patch.setattr(asyncio, "Runner", partial(_Runner, self._run))
+
+    def __call__(self, line: str) -> str:
+        """Run a command line about this mission, and return it with what it prints."""
+        maps = " ".join(f"--map {host}={host}:{PORT}" for host in self.fleet.mission.team.hosts)
+        mission = f" --deploy {DEPLOYMENT} {maps}"
+        return recorded(line + mission, self._folder, most=KEPT).replace(mission, "")
+
+    def wait_for(self, agent: str, host: str) -> None:
+        """Let time go on until a coordinator is on a host."""
+        while all(start[0] != agent or host not in hosts for start, hosts in copies(self.fleet).items()):
+            self.fleet.run(STEP)
+
+    def _run(self, work: Coroutine[Any, Any, Any], **_: object) -> Any:
+        """As `asyncio.run`. Raises what the work raises."""
+        results: list[Callable[[], Any]] = []
+
+        async def kept() -> None:
+            try:
+                result = await work
+                results.append(lambda: result)
+            except Exception as error:
+                failure = error
+                results.append(partial(_raise, failure))
+
+        self._process.loop.enter(lambda: spawn(kept()))
+        end = self.fleet.now + PATIENCE
+        while not results:
+            assert self.fleet.now < end, "the command does not end"
+            self.fleet.run(STEP)
+        return results[0]()
+
+
+class _Runner:
+    """As `asyncio.Runner`, with the one method that commands use."""
+
+    def __init__(self, run: Callable[..., Any]) -> None:
+        self.run = run
+
+    def __enter__(self) -> _Runner:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        pass
+
+
+def _raise(error: Exception) -> None:
+    raise error

@@ -1,0 +1,39 @@
+"""The stories of 2,000 seeds come to what they came to: `outcomes.txt` has a digest for each.
+
+The digests cover what programs, devices and coordinators did in virtual time, and neither names of Python nor
+messages (lfield/simulate/judging/outcome.py). `make oracles` writes the file anew.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from lfield.simulate.seeds import DIGITS, IN_A_LINE, lines_of, told
+
+FILE = Path(__file__).parent / "outcomes.txt"
+SEEDS = 2000
+
+
+def frozen() -> list[str]:
+    return FILE.read_text(encoding="utf-8").splitlines()
+
+
+@pytest.mark.few(2)
+@pytest.mark.parametrize("first", range(0, SEEDS, IN_A_LINE))
+def test_stories_come_to_what_they_came_to(first: int) -> None:
+    seeds = range(first, first + IN_A_LINE)
+    outcomes = [told(seed).outcome[:DIGITS] for seed in seeds]
+    _, *expected = frozen()[first // IN_A_LINE].split()
+    assert dict(zip(seeds, outcomes, strict=True)) == dict(zip(seeds, expected, strict=True))
+
+
+def test_the_file_has_all_seeds() -> None:
+    assert [int(line.split()[0]) for line in frozen()] == [*range(0, SEEDS, IN_A_LINE)]
+
+
+def test_outcomes_are_written_ten_in_a_line() -> None:
+    assert lines_of({seed: f"{seed:08x}ffff" for seed in range(20)})[1].split()[:2] == ["10", "0000000a"]
+    with pytest.raises(ValueError, match="multiple of 10"):
+        lines_of({0: "", 1: ""})
