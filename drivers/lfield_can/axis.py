@@ -135,14 +135,13 @@ class CanAxis(Device):
             self.publish(**await self.protocol.poll())
 
     async def _set_up_again(self) -> None:
-        """After a restart; or another device has booted with its id, and this one may be in motion."""
-        try:
-            await self.protocol.setup()
-        except DeviceError:
-            if self.protocol.conflict:
-                with suppress(DeviceError):  # it is tried again, and the conflict is what is told
-                    await self._make_safe(self.safe_state)
-            raise
+        """After a restart. It may be in motion all the same: another device with its id has booted, or some
+        other master on the bus has taken it out of operation."""
+        with suppress(DeviceError):  # what keeps it from being set up is told below
+            await self.protocol.command_safe(self.safe_state)
+        await self.protocol.setup()
+        if self.protocol.state.enabled:
+            await self._make_safe(self.safe_state)
         self.note("it had restarted and is set up again, not enabled")
 
     async def _look_at_conflict(self) -> None:
@@ -254,7 +253,8 @@ class CanAxis(Device):
     def _check_heard(self) -> None:
         if self._silence() > self.protocol.silence:
             # Before it is noticed in its turn: whoever catches this reads it.
-            self.publish(online=False, enabled=False)
+            self.protocol.silent()
+            self.publish(online=False, enabled=False, state=self.protocol.state.state)
             raise self.error(f"not heard for {self._silence():.1f} s", timeout=True)
 
     # -- instructions -----------------------------------------------------------------------------------

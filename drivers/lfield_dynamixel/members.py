@@ -208,6 +208,7 @@ class Members(Device):
         number = servo.node.number
         self._probe_at[number] = self.clock.monotonic() + PROBE
         self.conditions.pop(number, None)
+        self._tell_conditions()
 
     async def _is_doubled(self, servo: Servo, urgency: int, fewest: int = FEWEST_ROUNDS) -> bool:
         """Whether another servo with its id has joined; that is told once."""
@@ -227,6 +228,7 @@ class Members(Device):
             self.note(f"servo {number} does not answer any more; it is looked for")
         self._probe_at[number] = self.clock.monotonic() + PROBE
         self.conditions.pop(number, None)
+        self._tell_conditions()
 
     async def _how_it_is(self, servo: Servo) -> str:
         """What became of a servo while it was silent. One without power has forgotten its watchdog."""

@@ -261,6 +261,14 @@ class MavlinkVehicle(Contact):
 
     # -- what the guard asks --------------------------------------------------------------------------
 
+    async def execute(self, instruction: str, arguments: Sequence[object]) -> Any:
+        """See `Device`. An exception comes when the telemetry that caused it can be read."""
+        try:
+            return await super().execute(instruction, arguments)
+        except DeviceError:
+            await self.motion.monitor.settle()
+            raise
+
     async def _set_watchdog(self, longest: float) -> float | None:
         return await self.watchdog.seconds(longest)
 

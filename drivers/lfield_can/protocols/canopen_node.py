@@ -66,6 +66,8 @@ class CanopenNode:
         self._result: asyncio.Future[Result] | None = None
         self._timer: asyncio.TimerHandle | None = None
         self._roll_call: RollCall | None = None
+        #: Whether it does not answer questions for what it does not have.
+        self._ignores = False
         #: Called with every object that was written, and its bytes.
         self.on_written: Callable[[int, int, bytes], None] = lambda index, subindex, data: None
 
@@ -135,8 +137,10 @@ class CanopenNode:
     async def is_doubled(self, *, briefly: bool = False) -> bool:
         """Whether two nodes answer to this id: a few questions, a fraction of a second.
 
-        `briefly`: one question, as long as it is answered once.
+        `briefly`: one question, as long as it is answered once; none to a node that ignored them all before.
         """
+        if briefly and self._ignores:
+            return False
         self._roll_call = roll_call = RollCall(1) if briefly else RollCall()
         try:
             while (key := roll_call.next_key()) is not None:
@@ -146,6 +150,7 @@ class CanopenNode:
                 await asyncio.sleep(GAP)
         finally:
             self._roll_call = None
+        self._ignores = roll_call.is_ignored and not briefly
         return roll_call.is_doubled
 
     def close(self) -> None:

@@ -82,6 +82,11 @@ class RollCall:
         return self._surplus >= PROOF
 
     @property
+    def is_ignored(self) -> bool:
+        """Whether no question was answered."""
+        return not any(self._answers[key] for key in self._requests)
+
+    @property
     def _surplus(self) -> int:
         return sum(1 for key, sent in self._requests.items() if self._answers[key] > self._asked(key, sent))
 

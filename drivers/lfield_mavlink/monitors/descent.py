@@ -50,6 +50,8 @@ SILENT = 10.0
 _FALLS = re.compile(
     r"potential thrust loss|motor failure|attitude failure|critical failure detected|flight termination", re.I
 )
+#: So many messages may show the motors on after that text: heartbeats and extended states in turn.
+SHOWN = 4
 _CRASHES = re.compile(r"^crash|crash: disarming", re.I)
 #: What only keeps it from being armed.
 _BEFORE = re.compile(r"^(preflight|prearm|arm)\b", re.I)
@@ -84,6 +86,8 @@ class DescentMonitor:
 
     def __init__(self) -> None:
         self.falling = self.crashed = ""
+        #: How many more messages may show motors on that the vehicle has said to switch off.
+        self._disarms = 0
         self._expected, self._fastest = DESCENT, FASTEST
         # The autopilot's own speeds of descent and of landing; the speeds downwards that were commanded.
         self._descends, self._lands = UNKNOWN, 0.0
@@ -127,18 +131,22 @@ class DescentMonitor:
     def clear(self) -> None:
         """A person has seen to it."""
         self.falling = self.crashed = ""
-        self._hit = None
+        self._hit, self._disarms = None, 0
 
     @property
     def undecided(self) -> bool:
-        """Whether its motors went off in the air, as it seems, and it is not known yet what became of it."""
-        return self._off_at > -math.inf
+        """Whether its motors went off in the air, as it seems, and it is not known yet what became of it.
+
+        Also whether it says that it disarms after a crash, and its heartbeat does not show that yet.
+        """
+        return self._off_at > -math.inf or self._disarms > 0
 
     # -- telemetry --------------------------------------------------------------------------------------
 
     def on_armed(self, armed: bool, *, landed: bool | None, now: float) -> Finding | None:
         """Whether its motors are on, and whether it says that it stands."""
         before, self._armed = self._armed, armed
+        self._disarms = max(0, self._disarms - 1) if armed else 0
         if armed:
             self._aloft = landed is False or (self._aloft and landed is None)
             if self._aloft:
@@ -194,6 +202,7 @@ class DescentMonitor:
         if not self._armed and not self._off_at > -math.inf:
             return None
         if _CRASHES.search(text):
+            self._disarms = SHOWN if self._armed and "disarm" in text.lower() else 0
             return self._crash(f"the autopilot says: {text}")
         if _FALLS.search(text) and not _BEFORE.search(text):
             return self._falls(f"the autopilot says: {text}")

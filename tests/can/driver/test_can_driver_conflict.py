@@ -252,6 +252,37 @@ def test_a_second_device_that_joins_stops_the_first_one_in_motion(rig, boots):
     assert sum("two devices" in note for note in b.notes) == 1
 
 
+def test_a_drive_that_another_master_takes_out_of_operation_is_stopped(rig):
+    b = rig()
+
+    async def mission(axis):
+        await axis.execute("enable", [])
+        await axis.execute("setVelocity", [1.0])
+        await asyncio.sleep(0.5)
+        drive = b.wire.drives[0]
+        drive.node.nmt.state = "PRE-OPERATIONAL"
+        await b.until(lambda: any("set up again" in note for note in b.notes))
+        assert drive.velocity == 0.0
+        assert b.values["enabled"] is False
+
+    b.run(mission)
+
+
+def test_the_silence_that_an_exception_tells_of_can_be_read_when_it_is_caught(rig):
+    b = rig()
+
+    async def mission(axis):
+        await axis.execute("enable", [])
+        motion = asyncio.ensure_future(axis.execute("moveTo", [100.0, 2.0]))
+        await asyncio.sleep(0.5)
+        b.wire.drives[0].silent = True
+        with pytest.raises(DeviceError, match="not heard"):
+            await motion
+        assert (b.values["online"], b.values["enabled"], b.values["state"]) == (False, False, "silent")
+
+    b.run(mission)
+
+
 @pytest.mark.parametrize("every", [1, 7])
 def test_an_axis_in_motion_is_not_stopped_by_answers_that_come_twice_now_and_then(rig, every):
     b = rig()
@@ -275,6 +306,25 @@ def test_an_axis_in_motion_is_not_stopped_by_answers_that_come_twice_now_and_the
         assert b.wire.drives[0].velocity > 0.0
 
     b.run(mission)
+
+
+def test_a_drive_that_ignores_what_it_does_not_have_is_asked_at_its_set_up_alone(rig):
+    """Each such question takes a second without an answer, and commands would wait for that."""
+    b = rig()
+
+    def is_asked_in_vain(frame):
+        return frame.id == 0x600 + NODE and frame.data[1:3] == b"\x18\x10" and frame.data[3] >= 0x60
+
+    async def mission(axis):
+        heard = b.wire.on_frame
+        b.bus.device = b.wire.on_frame = lambda frame: None if is_asked_in_vain(frame) else heard(frame)
+        await axis.open()
+        before = len(b.bus.sent)
+        await asyncio.sleep(5.0)
+        asked = [f for f in b.bus.sent[before:] if is_asked_in_vain(f) and f.data[0] != 0x80]
+        assert asked == []
+
+    b.run(mission, opened=False)
 
 
 def test_a_request_of_another_client_is_no_sign_of_life(rig):

@@ -262,6 +262,8 @@ def test_a_second_servo_that_joins_while_the_first_answers_is_named_and_stopped(
         began = asyncio.get_running_loop().time()
         with pytest.raises(DeviceError, match=r"two servos|come damaged|does not answer"):
             await motion
+        # Of one servo nothing is known any more.
+        assert b.values["torqueOn"] is (len(ids) > 1)
         assert asyncio.get_running_loop().time() - began < 2.5
         await b.until(lambda: any("two servos" in note for note in b.notes))
         with pytest.raises(DeviceError, match="two servos"):

@@ -292,3 +292,24 @@ def test_what_real_ones_fly_on_with_ends_no_motion(bench, fault):
 
     b.run(mission)
     assert b.lock_outs == [] == b.breaches
+
+
+def test_a_refusal_after_a_crash_comes_when_the_motors_are_known_to_be_off(bench):
+    """ArduCopter says "Crash: Disarming" up to a second before its heartbeat shows it."""
+    b = bench()
+
+    async def mission(fc):
+        await fc.execute("arm", [])
+        await fc.execute("takeoff", [15.0])
+        asyncio.get_running_loop().call_later(2.0, b.faults.apply, ["motor_failure=true"])
+        with pytest.raises(DeviceError, match="Crash: Disarming"):
+            async with asyncio.timeout(20.0):
+                await holds(fc)
+        assert b.values["armed"] is False
+
+    async def holds(fc):
+        while True:
+            await fc.execute("hold", [])
+            await asyncio.sleep(0.2)
+
+    b.run(mission)
