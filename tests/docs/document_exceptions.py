@@ -39,6 +39,7 @@ EXCEPTIONS: dict[str, dict[str, str]] = {
         "make bench ONLY=radio ROUNDS=100": SUITE,
         "make fuzz COUNT=1000": SUITE,
         "make fuzz-decoders COUNT=10000": SUITE,
+        "make oracles": SUITE,
         "make simulate SEEDS=10000": SUITE,
         "make chaos SECONDS=120": SUITE,
     },

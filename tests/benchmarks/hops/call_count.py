@@ -118,7 +118,7 @@ class Recorder:
             self._calls.append((code.co_filename[len(_PACKAGE) + 1 :], code.co_qualname))
 
 
-class Figures(NamedTuple):
+class HopFigures(NamedTuple):
     """The most that a hop may take."""
 
     calls: int
@@ -128,7 +128,7 @@ class Figures(NamedTuple):
 
 #: By network and journals: "simulated" or "TCP", "no" or "yes".
 FIGURES = {
-    (network, journals): Figures(*map(int, counts))
+    (network, journals): HopFigures(*map(int, counts))
     for network, journals, *counts in (
         line.split("\t")
         for line in Path(__file__).with_name("figures.tsv").read_text(encoding="utf-8").splitlines()[1:]
