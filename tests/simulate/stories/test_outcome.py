@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import sys
+from pathlib import Path
+
 import pytest
 
 from lfield.mobility.departures import Departures
+from lfield.simulate.__main__ import main
 from lfield.simulate.fleet import Book
-from lfield.simulate.seeds import told
+from lfield.simulate.seeds import Tally, told
 
 
 def test_another_log_line_changes_the_digest_of_a_story_and_not_its_outcome(
@@ -37,3 +41,22 @@ def test_a_story_of_orders_is_the_same_at_other_addresses_in_memory() -> None:
         kept.append([object() for _ in range(1000)])
         outcomes.add(told(19).outcome)
     assert len(outcomes) == 1
+
+
+def test_outcomes_are_written_to_a_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    tally = Tally(outcomes={seed: f"{seed:064x}" for seed in range(10)})
+    monkeypatch.setattr("lfield.simulate.__main__.run", lambda seeds, processes: tally)
+    file = tmp_path / "outcomes.txt"
+    monkeypatch.setattr(sys, "argv", ["simulate", "--seeds", "10", "--outcomes", str(file)])
+    assert main() == 0
+    assert file.read_text() == f"0{' 00000000' * 10}\n"
+
+
+@pytest.mark.parametrize("words", [["--seeds", "15"], ["--seeds", "10", "--first", "10"]])
+def test_outcomes_are_written_of_all_seeds_from_the_first_in_tens(
+    words: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(sys, "argv", ["simulate", *words, "--outcomes", str(tmp_path / "outcomes.txt")])
+    with pytest.raises(SystemExit):
+        main()
+    assert "--outcomes needs --first 0" in capsys.readouterr().err
