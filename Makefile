@@ -7,7 +7,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: demo test test-more test-sitl simulate chaos fuzz fuzz-decoders bench lint locks clean
+.PHONY: demo test test-more test-sitl oracles simulate chaos fuzz fuzz-decoders bench lint locks clean
 
 demo: $(VENV)/.installed
 	$(BIN)/lfield up --deploy examples/01-first-flight/mission.dL --all --sim --until-done
@@ -59,6 +59,11 @@ SECONDS ?= 120
 SEED ?= 1
 chaos: $(VENV)/.tested
 	$$(unshare -Urm true 2>/dev/null && echo unshare -Urm) $(BIN)/python tests/chaos/run.py --seconds $(SECONDS) --seed $(SEED)
+
+# What a refactoring must not change (tests/oracles), written anew: `git diff tests/oracles` shows what did change.
+oracles: $(VENV)/.tested
+	$(BIN)/python -m lfield.simulate --seeds 2000 --outcomes tests/oracles/outcomes.txt
+	$(BIN)/pytest -n 0 --every-case --rewrite --ignore tests/oracles/test_outcomes.py tests/oracles
 
 lint: $(VENV)/.tested
 	$(LINT)

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from hops.call_count import HOPS, Walk, recorded_hops
+import pytest
+from hops.call_count import FIGURES, HOPS, Walk, recorded_hops, shortest
 
 from lfield import loop
 
@@ -20,3 +21,13 @@ def test_a_hop_is_recorded_from_the_departure_to_the_portal(tmp_path: Path):
     files = [file for file, _ in hops[0].calls]
     assert files[0] == "vm/outside.py"
     assert {"mobility/departures.py", "net/peers.py", "mobility/arrivals.py"} <= set(files)
+
+
+@pytest.mark.parametrize("journals", ["no", "yes"])
+def test_a_hop_takes_no_more_calls_than_it_did(journals: str):
+    """Lower figures go into the file by hand. Counts over TCP depend on how busy the computer is."""
+    most = FIGURES["simulated", journals]
+    walk = shortest(simulated=True, journals=journals == "yes")
+    assert len(walk.calls) <= most.calls
+    assert walk.files <= most.files
+    assert walk.returns <= most.returns

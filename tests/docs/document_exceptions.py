@@ -31,6 +31,12 @@ KIT = "serves on a fixed port: tests/kits runs every kit against every fake"
 
 #: By page: command lines, and first lines of outputs.
 EXCEPTIONS: dict[str, dict[str, str]] = {
+    "tests/oracles/README.md": {
+        ".venv/bin/pytest tests/oracles": SUITE,
+        ".venv/bin/pytest -n 0 tests/oracles --every-case": SUITE,
+        ".venv/bin/pytest -n 0 tests/oracles --every-case --rewrite": SUITE,
+        "make oracles": SUITE,
+    },
     "CONTRIBUTING.md": {
         "sudo apt-get install chromium chromium-driver": INSTALLS,
         "make test": SUITE,
@@ -41,6 +47,7 @@ EXCEPTIONS: dict[str, dict[str, str]] = {
         "make bench ONLY=radio ROUNDS=100": SUITE,
         "make fuzz COUNT=1000": SUITE,
         "make fuzz-decoders COUNT=10000": SUITE,
+        "make oracles": SUITE,
         "make simulate SEEDS=10000": SUITE,
         "make chaos SECONDS=120": SUITE,
     },

@@ -20,7 +20,7 @@ def frozen() -> list[str]:
     return FILE.read_text(encoding="utf-8").splitlines()
 
 
-@pytest.mark.few(2)
+@pytest.mark.few(1)
 @pytest.mark.parametrize("first", range(0, SEEDS, IN_A_LINE))
 def test_stories_come_to_what_they_came_to(first: int) -> None:
     seeds = range(first, first + IN_A_LINE)

@@ -21,7 +21,7 @@ from lfield.wire.coordinators import Transfer
 from lfield.wire.reservations import Renew
 
 
-class Outcome:
+class OutcomeRecorder:
     """Records one story; `born` must be called with every life of a host."""
 
     def __init__(self) -> None:

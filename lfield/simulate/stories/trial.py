@@ -15,7 +15,7 @@ from lfield.simulate.computers.timeline import Endless
 from lfield.simulate.fleet import Fleet, Life
 from lfield.simulate.judging.breaches import Breach
 from lfield.simulate.judging.judge import ENOUGH, Judge
-from lfield.simulate.judging.outcome import Outcome
+from lfield.simulate.judging.outcome import OutcomeRecorder
 from lfield.simulate.stories.story import RESERVES, Story
 from lfield.simulate.weather import Storm
 
@@ -65,7 +65,7 @@ def tell(story: Story, *, keep_log: bool = False) -> Verdict:
 
 
 def _told(story: Story, *, keep_log: bool) -> Verdict:
-    judge, outcome = Judge(), Outcome()
+    judge, outcome = Judge(), OutcomeRecorder()
 
     def born(name: str, life: Life) -> None:
         judge.born(name, life)
