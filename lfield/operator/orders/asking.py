@@ -39,8 +39,8 @@ from lfield.wire.orders import (
 
 #: After so many datagrams without an answer a host is also asked through another one, in turns.
 RELAY_AFTER = 3
-#: A connection, whose handshake takes 4-5 kB, is begun after so many of them. Where datagrams of any host have
-#: come through, it is begun after more, and after so many seconds.
+#: A connection, whose handshake takes 4-5 kB, is begun after so many of them. Where datagrams of any host
+#: have come through, it is begun after more, and after so many seconds.
 LINK_AFTER, LINK_AFTER_MORE, LINK_AFTER_SECONDS = 2, 5, 0.4
 #: A host gets an order signed anew at most so often.
 MOST_SIGNED = 8
@@ -56,14 +56,16 @@ BESIDE, SHOWN = 148, 500
 #: The shortest and the longest interval, in seconds. So many are alike, since radio loses at random; by this
 #: factor each further one is longer.
 SHORTEST, LONGEST, ALIKE, BACKOFF = 0.04, 1.0, 6, 1.5
+#: So many are alike where nothing was ever answered: it may be that a queue holds what was sent.
+ALIKE_UNANSWERED = 2
 #: How much the round trip may vary is not known after one measurement: this part of it.
 FIRST_VARIATION = 0.25
 #: A variation of the round trip of less than so many seconds is taken for so many.
 LEAST_VARIATION = 0.01
 #: An answer is missed after the round trip and so many variations of it.
 VARIATIONS = 2.0
-#: What is received but not confirmed is asked for after so many seconds at least. A host that has said it again
-#: is asked at so many intervals, up to the second number.
+#: What is received but not confirmed is asked for after so many seconds at least, and after so many
+#: intervals at most where the host has said again that it is executing.
 LEAST_EXECUTING, EXECUTING = 0.1, 4
 
 
@@ -360,7 +362,11 @@ class Asking:
             late = min(late, SHORTEST)
         if host.receipts and not host.unanswered:
             late = max(late, LEAST_EXECUTING)
-        return max(self._pace(), min(late * BACKOFF ** max(0, repeats - ALIKE), max(LONGEST, late)))
+        pace = self._pace()
+        if not measured:
+            late = max(late, pace)
+        longer = late * BACKOFF ** max(0, repeats - (ALIKE if measured else ALIKE_UNANSWERED))
+        return max(pace, min(longer, max(LONGEST, late)))
 
     def _pace(self) -> float:
         """Seconds that a slow radio takes for a datagram to each host that has no result, and the answers."""

@@ -30,6 +30,9 @@ VEHICLES_OF_A_PROCESSOR = 1.5
 SAMPLES_OF_A_LANE = 10
 #: A round trip in s below which lanes keep a processor busy, and the size of a request in bytes.
 FAST, SIZE = 0.09, 600
+#: Links that were made on a perfect radio learn a longer round trip for so many seconds, on this one: else
+#: they fill a slow channel with repeats.
+MEANWHILE, ADAPTS = "50 ms", 6.0
 #: Bytes of a request that is as small as an order to stop.
 ORDER = 150
 #: Seconds between a lift and the next stop: the copter is released and held meanwhile.
@@ -246,6 +249,8 @@ def vehicles(checkout: Checkout, processes: Processes, seeds: Sequence[int], hos
     for team in teams:
         for child in team.children.values():
             until(child, "ready")
+        team.radio.set(CELLS[MEANWHILE])
+    time.sleep(ADAPTS)
     return teams
 
 

@@ -30,7 +30,9 @@ class RadioWorld(World):
 
     NOISE = 71
 
-    def __init__(self, cell: Cell, hosts: int, seed: int, *, executes: float, noise: float = 0.0) -> None:
+    def __init__(
+        self, cell: Cell, hosts: int, seed: int, *, executes: float, noise: float = 0.0, keeps: bool = False
+    ) -> None:
         names = [f"h{n}" for n in range(hosts)]
         super().__init__(*names, seed=seed)
         self._numbers = {name: number for number, name in enumerate([*names, DESK])}
@@ -38,6 +40,8 @@ class RadioWorld(World):
         self.air.set_cell(cell)
         self._planned: float | None = None
         self.bytes = 0
+        #: Whether `sent` has what was sent.
+        self._keeps = keeps
         for post in self.posts.values():
             post.slow = executes
             if noise:
@@ -50,6 +54,8 @@ class RadioWorld(World):
 
     def carry(self, source: str, target: str, data: bytes, taken) -> None:  # type: ignore[no-untyped-def]
         self.bytes += len(data) + HEADERS
+        if self._keeps:
+            self.sent.append((source, target, data))
         self._send(source, target, bytes(len(data) + HEADERS), taken)
 
     def _send(self, source: str, target: str, data: bytes, taken) -> None:  # type: ignore[no-untyped-def]

@@ -10,11 +10,11 @@ import order_world
 import pytest
 import radio_stops
 from emulator.cells import CELLS
-from radio_stops import RadioDesk, RadioWorld
+from radio_stops import DESK, RadioDesk, RadioWorld
 
 from lfield.authority.orders.signing import Known, Signer
 from lfield.operator.orders import asking
-from lfield.wire.orders import decode_answer, decode_order
+from lfield.wire.orders import Confirmed, SignedAnswer, decode_answer, decode_datagram, decode_order
 
 #: Seconds that a host needs to make its devices safe, and bytes/s that the links of each of five hosts carry
 #: at rest.
@@ -101,3 +101,34 @@ def test_a_desk_that_knows_nothing_of_the_hosts_takes_longer(cell, hosts, within
         desk = RadioDesk(RadioWorld(CELLS[cell], hosts, seed, executes=EXECUTES))
         found.append(max(desk.stop()))
     assert max(found) <= within
+
+
+def confirmations(world):
+    """How many confirmations each host has sent."""
+    counts = {}
+    for source, _, data in world.sent:
+        datagram = decode_datagram(data)
+        if isinstance(datagram, SignedAnswer) and isinstance(decode_answer(datagram.answer), Confirmed):
+            counts[source] = counts.get(source, 0) + 1
+    return counts
+
+
+def test_a_confirmation_is_sent_twice_and_then_only_when_it_is_asked_for():
+    world = RadioWorld(CELLS["50 ms"], 1, 1, executes=EXECUTES, keeps=True)
+    desk = RadioDesk(world)
+    list(desk.stop())
+    desk.lifted()
+    world.sent.clear()
+    list(desk.stop())
+    world.run(10.0)
+    orders = sum(source == DESK for source, _, _ in world.sent)
+    assert orders == 2
+    assert confirmations(world) == {"h0": 2}
+
+
+def test_the_time_that_devices_need_is_not_taken_for_a_round_trip():
+    world = RadioWorld(CELLS["50 ms"], 3, 1, executes=0.6)
+    desk = RadioDesk(world)
+    list(desk.stop())
+    assert all(0.05 <= trip <= 0.06 for trip in desk.trips.values())
+    assert len(desk.trips) == 3
