@@ -50,7 +50,7 @@ from lfield.wire.reservations import ReservationMessage
 from lfield.wire.watching import WatchMessage
 
 #: The version of everything in this package. Hosts of different versions do not talk.
-PROTOCOL = 10
+PROTOCOL = 11
 
 #: What a peer is: one of the team, or somebody who looks at it (`lfield ps`).
 Role = Literal["host", "observer"]

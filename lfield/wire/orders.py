@@ -8,7 +8,7 @@ earlier order fits a later state of the host, whatever any clock says. The same 
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Mapping
 from typing import Annotated, Literal, TypeVar
 
 import msgspec
@@ -19,7 +19,7 @@ from lfield.errors import WireError
 from lfield.wire.fields import Name, OrderId, clip
 
 #: The version of the datagrams. Datagrams of another version are dropped.
-VERSION = 1
+VERSION = 2
 MAGIC = b"lfo" + bytes([VERSION])
 #: The largest datagram that is sent or read, in bytes: it fits every path without fragments.
 MAX_DATAGRAM = 1200
@@ -42,6 +42,8 @@ Signature = Annotated[bytes, Meta(min_length=64, max_length=64)]
 Certificate = Annotated[bytes, Meta(max_length=MAX_DATAGRAM)]
 #: Which datagram of a desk to a host this is, and which is answered; after 255 it is counted from 0 again.
 Attempt = Annotated[int, Meta(ge=0, le=255)]
+#: Milliseconds between the arrival of the datagram that an answer names and the answer.
+Held = Annotated[int, Meta(ge=0, le=0xFFFF)]
 Sentence = Annotated[str, Meta(max_length=MAX_SENTENCE)]
 
 
@@ -84,7 +86,8 @@ class SignedOrder(Struct, frozen=True, array_like=True, forbid_unknown_fields=Tr
     `certificate` is DER, b"" where the host should know it. What follows is not signed, and only a request:
     `relay` lists hosts (by their place in the order) that the desk does not reach itself, with `unknown` the
     host adds its own certificate to answers, and `attempt` counts the datagrams to a host: it is repeated in
-    answers, so that the desk can measure the round trip.
+    answers with the time that the host took, so that the desk can measure the round trip (as with LSR and
+    DLSR of RFC 3550, section 6.4.1).
     """
 
     order: Annotated[bytes, Meta(max_length=MAX_DATAGRAM)]
@@ -124,6 +127,7 @@ class Received(Struct, frozen=True, array_like=True, forbid_unknown_fields=True,
     id: OrderId
     epochs: Epochs
     attempt: Attempt = 0
+    held: Held = 0
 
 
 class Challenge(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=2):
@@ -133,6 +137,7 @@ class Challenge(Struct, frozen=True, array_like=True, forbid_unknown_fields=True
     id: OrderId
     epochs: Epochs
     attempt: Attempt = 0
+    held: Held = 0
 
 
 class Confirmed(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=3):
@@ -147,6 +152,7 @@ class Confirmed(Struct, frozen=True, array_like=True, forbid_unknown_fields=True
     trouble: Sentence = ""
     more: int = 0
     attempt: Attempt = 0
+    held: Held = 0
 
 
 class Denied(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=4):
@@ -155,6 +161,7 @@ class Denied(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, t
     id: OrderId
     why: Sentence
     attempt: Attempt = 0
+    held: Held = 0
 
 
 Answer = Received | Challenge | Confirmed | Denied
@@ -241,30 +248,14 @@ def confirmed(id: bytes, epochs: Epochs, devices: Mapping[str, str], trouble: st
     return Confirmed(id, epochs, tuple(safe), unsafe, trouble, more)
 
 
-def with_attempt(answer: Answer, attempt: int) -> Answer:
-    """An answer to the datagram of that number."""
-    return replace(answer, attempt=attempt)
+def numbered(answer: Answer, attempt: int, held: float) -> Answer:
+    """An answer to the datagram of that number, which came `held` seconds before."""
+    return replace(answer, attempt=attempt, held=min(0xFFFF, round(held * 1000)))
 
 
 def devices_of(answer: Confirmed) -> dict[str, str]:
     """The devices of a confirmation as `EmergencyStopped` has them."""
     return dict.fromkeys(answer.safe, "") | answer.unsafe
-
-
-def parts(hosts: Mapping[str, bytes], room: int) -> Iterator[tuple[For, ...]]:
-    """Hosts with their epochs in as few tuples as fit into `room` bytes each, in their order."""
-    part: list[For] = []
-    left = room
-    for host, epoch in hosts.items():
-        one = For(host, epoch)
-        size = len(_encode(one))
-        if part and (size > left or len(part) == MAX_HOSTS):
-            yield tuple(part)
-            part, left = [], room
-        part.append(one)
-        left -= size
-    if part:
-        yield tuple(part)
 
 
 def _strict(decoder: msgspec.msgpack.Decoder[T], data: bytes | memoryview) -> T:

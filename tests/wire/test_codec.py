@@ -166,7 +166,7 @@ def test_the_largest_transfer_header_fits():
 
 def test_the_start_of_a_greeting_never_changes():
     kind, payload = parts(encode(HELLO_MESSAGE))
-    assert (kind, payload[:6]) == (HELLO, b"lfld\x00\x0a")
+    assert (kind, payload[:6]) == (HELLO, b"lfld\x00\x0b")
     assert parts(encode(Refuse("no"))) == (REFUSE, b"no")
 
 
@@ -186,8 +186,8 @@ def checked(start: bytes, body: bytes) -> bytes:
         (HELLO, b"", "too short"),
         (HELLO, b"lfl", "too short"),
         (HELLO, b"http/1", "does not begin with 'lfld'"),
-        (HELLO, b"lfld\x00\x0a", "too short to have a checksum"),
-        (HELLO, b"lfld\x00\x0a" + bytes(8), "was damaged"),
+        (HELLO, b"lfld\x00\x0b", "too short to have a checksum"),
+        (HELLO, b"lfld\x00\x0b" + bytes(8), "was damaged"),
         (CONTROL, b"", "too short to have a checksum"),
         (CONTROL, b"\x92\x08\x01", "too short to have a checksum"),
         (CONTROL, bytes(4), "was damaged"),
@@ -205,7 +205,7 @@ def test_garbage_is_a_wire_error(kind, payload, words):
 @pytest.mark.parametrize(
     ("kind", "start", "body"),
     [
-        (HELLO, b"lfld\x00\x0a", b""),
+        (HELLO, b"lfld\x00\x0b", b""),
         (CONTROL, b"", b""),
         (CONTROL, b"", b"\xc1"),
         (CONTROL, b"", b"\x92\x63\x01"),

@@ -7,16 +7,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from lfield.errors import WireError
-from lfield.wire.fields import MAX_NAME
 from lfield.wire.orders import (
     MAGIC,
     MAX_DATAGRAM,
-    MAX_HOSTS,
     Epochs,
     For,
     Order,
     SignedAnswer,
-    SignedOrder,
     confirmed,
     decode_answer,
     decode_datagram,
@@ -24,7 +21,6 @@ from lfield.wire.orders import (
     devices_of,
     encode_datagram,
     encode_part,
-    parts,
     short_reason,
 )
 
@@ -53,17 +49,6 @@ def test_what_is_not_safe_is_told_first():
     answer = confirmed(ID, Epochs(), devices, "")
     assert answer.unsafe == {"zulu.fc": "it does not answer"}
     assert answer.more > 0
-
-
-@given(st.lists(st.text(min_size=1, max_size=MAX_NAME), min_size=1, max_size=100, unique=True))
-def test_hosts_are_parted_so_that_each_order_fits(names):
-    hosts = dict.fromkeys(names, bytes(8))
-    found = list(parts(hosts, 640))
-    assert [one.host for part in found for one in part] == names
-    for part in found:
-        assert len(part) <= MAX_HOSTS
-        order = encode_part(Order("resume", ID, "", part))
-        assert len(encode_datagram(SignedOrder(order, bytes(16), bytes(64)))) <= MAX_DATAGRAM
 
 
 @given(st.text(max_size=400))

@@ -5,6 +5,10 @@ fed from the oldest end, where it would lose some more with every batch: it hear
 many others it has lost, and goes on with what is live. Telemetry waits until there is room and no state left:
 of each device and agent only the newest, and what that replaced is counted. At most WINDOW batches are on
 their way; who does not read them gets no more, and its host does nothing for it but count.
+
+Telemetry leaves most of a slow path to other messages, orders to stop above all: at most one batch with
+telemetry is under way, and after one that was seen late there is a pause, several times as long as the delay
+beyond the round trip.
 """
 
 from __future__ import annotations
@@ -21,6 +25,9 @@ from lfield.wire.watching import MAX_EVENTS, WINDOW, Events, Watch
 BATCH_BYTES = 48 << 10
 #: Seconds between two batches, at least; and at most, so that a watcher knows that the host lives.
 LEAST, QUIET = 0.05, 1.0
+#: After telemetry that was seen later than a round trip there is none for so many times the delay, and for so
+#: many seconds at most. The round trip that is assumed approaches later ones by this part of the difference.
+REST, LONGEST_REST, CREEP = 8.0, 10.0, 1 / 64
 #: Who has not read for so many seconds what was sent is no watcher any more.
 PATIENCE = 60.0
 #: The telemetry of a host now: by what it is of, a number that is another one when it has changed, and it.
@@ -51,6 +58,12 @@ class Watcher:
         self._every = 1.0 / watch.telemetry if watch.telemetry else 0.0
         #: When telemetry is to be looked at next for it, None for never.
         self.sample_due: float | None = up if self._every else None
+        #: When the batches were sent that are not seen yet; the one of them that has telemetry, 0 for none;
+        #: the round trip in seconds, and when there may be telemetry again.
+        self._sent: dict[int, float] = {}
+        self._full, self._is_full = 0, False
+        self._round_trip: float | None = None
+        self._rest_until = up
         #: When a batch may be sent to it next.
         self.next = up
         self._heard = up
@@ -61,8 +74,23 @@ class Watcher:
 
     def seen(self, batch: int, up: float) -> None:
         """It has read up to that batch."""
-        if self._seen < batch <= self._batch:
-            self._seen, self._heard = batch, up
+        if not self._seen < batch <= self._batch:
+            return
+        self._seen, self._heard = batch, up
+        if self._full and self._full <= batch:
+            self._rest_until, self._full = up + self._rest(up - self._sent[self._full]), 0
+        else:
+            took = up - self._sent[batch]
+            before = took if self._round_trip is None else self._round_trip
+            self._round_trip = min(took, before + CREEP * (took - before))
+        self._sent = {number: at for number, at in self._sent.items() if number > batch}
+
+    def _rest(self, took: float) -> float:
+        """How long there is no telemetry after a batch with some that took so many seconds to be seen."""
+        if self._round_trip is not None:
+            return min(LONGEST_REST, REST * max(0.0, took - self._round_trip))
+        # A batch without telemetry comes next, and shows the round trip.
+        return QUIET if took > LEAST else 0.0
 
     def has_gone(self, up: float) -> bool:
         """Whether it has stopped reading for good."""
@@ -73,8 +101,10 @@ class Watcher:
         """When `batch` gives something next, if all goes on like this, or it `has_gone`."""
         if self._is_behind:
             return self._heard + PATIENCE
-        owes = not self._batch or self._snapshot or self._owed or self._stream.latest > self._after
-        return self.next if owes else self.next - LEAST + QUIET
+        if not self._batch or self._snapshot or self._stream.latest > self._after:
+            return self.next
+        quiet = self.next - LEAST + QUIET
+        return quiet if self._full or not self._owed else min(quiet, max(self.next, self._rest_until))
 
     @property
     def _is_behind(self) -> bool:
@@ -107,8 +137,11 @@ class Watcher:
         if self._snapshot or (not self._shown and self._falls_behind()):
             shown, self._snapshot, self._shown = snapshot(), False, True
         else:
-            (after, told), self._shown = self._told(), False
+            (after, told), self._shown = self._told(up), False
         self._batch += 1
+        self._sent[self._batch] = up
+        if self._is_full:
+            self._full, self._is_full = self._batch, False
         self.next = up + LEAST
         lost, self._lost = dict(self._lost), Counter()
         return Events(self._life, self._batch, at, up, after, self._stream.latest, told, lost, shown)
@@ -130,7 +163,7 @@ class Watcher:
         self._past = self._often_after = stream.latest
         return True
 
-    def _told(self) -> tuple[int, list[Event]]:
+    def _told(self, up: float) -> tuple[int, list[Event]]:
         """The next states, and the number that they follow; where they leave room, telemetry too."""
         stream, before = self._stream, self._after
         told, size = stream.after(before, MAX_EVENTS, BATCH_BYTES, self._often_after)
@@ -138,7 +171,8 @@ class Watcher:
         if missing := self._after - before - len(told):
             self._lost["state"] += missing
         after = told[0].number - 1 if told else self._after
-        if self._after == stream.latest:
+        if self._after == stream.latest and not self._full and up >= self._rest_until:
+            self._is_full = bool(self._owed)
             self._beside(told, size)
         return after, told
 

@@ -26,8 +26,12 @@ from lfield.wire.fields import clip
 from lfield.wire.observing import EmergencyStop, EmergencyStopped, OrderChallenge, Pause
 from lfield.wire.orders import Epochs, Order, RelayedAnswer, RelayedOrder, SignedOrder
 
-#: A confirmation that is not there after so many seconds is announced, so that the desk repeats less often.
-RECEIVED_AFTER = 0.02
+#: A confirmation that is not there after so many seconds is announced, so that the desk repeats less often;
+#: and whoever asks meanwhile is told that at most so often.
+RECEIVED_AFTER = 0.2
+#: A copy of the first confirmation is sent so many seconds after it: a desk that missed it would ask for it a
+#: round trip later. Only whoever has sent a verified order gets it.
+CONFIRMED_AGAIN = 0.03
 #: A datagram of a desk passes so many hosts at most, goes on to so many that may know the way, and the same
 #: one not again within so many seconds.
 HOPS, WAYS, RELAY_EVERY = 2, 2, 0.15
@@ -58,11 +62,22 @@ class Checking:
 
 
 @dataclass(slots=True)
+class _Asker:
+    """The latest datagram with an order that came from somewhere, and when; when it was last announced there
+    that the order is being executed. In seconds."""
+
+    signed: SignedOrder
+    came: float
+    announced: float
+
+
+@dataclass(slots=True)
 class _Asked:
     """An order that was verified here: where its answers go, and what is known of it."""
 
-    askers: OrderedDict[Origin, SignedOrder] = field(default_factory=OrderedDict)
+    askers: OrderedDict[Origin, _Asker] = field(default_factory=OrderedDict)
     is_executing: bool = False
+    has_confirmed: bool = False
     handed_back: int = 0
 
 
@@ -143,8 +158,8 @@ class OrderDatagrams:
         if asked is None or asked.handed_back >= MOST_BACK:
             return
         asked.handed_back += 1
-        for origin, signed in asked.askers.items():
-            if signed.relay:
+        for origin, asker in asked.askers.items():
+            if asker.signed.relay:
                 self._reply(origin, message.id, message.datagram)
 
     def checked(self, checking: Checking, found: Known | LfieldError) -> None:
@@ -184,7 +199,9 @@ class OrderDatagrams:
         who = known.who
         asked = self._asked.get(order.id) or _Asked()
         remember(self._asked, order.id, asked, MOST)
-        remember(asked.askers, origin, signed, MOST_ASKERS)
+        before, now = asked.askers.get(origin), self._now()
+        asker = _Asker(signed, now, before.announced if before else -RECEIVED_AFTER)
+        remember(asked.askers, origin, asker, MOST_ASKERS)
         if why := lacks(who, self._admission.verdict(who), message):
             self.note(f"an order of {who} is not carried out: {why}")
             self._answer(order.id, wire.Denied(order.id, clip(why, wire.MAX_SENTENCE)))
@@ -193,16 +210,21 @@ class OrderDatagrams:
         if order.epoch_for(self._name) is None:
             return
         if asked.is_executing:
-            self._answer(order.id, wire.Received(order.id, self._epochs(), signed.attempt), origin)
+            self._announce(order.id)
             return
         asked.is_executing = True
         self.execute(message, str(who), lambda answer: self._executed(order.id, answer))
         self.later(RECEIVED_AFTER, lambda: self._announce(order.id))
 
     def _announce(self, id: bytes) -> None:
-        asked = self._asked.get(id)
-        if asked is not None and asked.is_executing:
-            self._answer(id, wire.Received(id, self._epochs()))
+        """Say to all who have not been told lately that the order is being executed."""
+        asked, now = self._asked.get(id), self._now()
+        if asked is None or not asked.is_executing:
+            return
+        for origin, asker in asked.askers.items():
+            if now - asker.announced >= RECEIVED_AFTER:
+                asker.announced = now
+                self._answer(id, wire.Received(id, self._epochs()), origin)
 
     def _executed(self, id: bytes, answer: Answered) -> None:
         asked = self._asked.get(id)
@@ -212,7 +234,22 @@ class OrderDatagrams:
         if isinstance(answer, OrderChallenge):
             self._answer(id, wire.Challenge(id, answer.epochs))
         else:
-            self._answer(id, _confirmed(id, answer))
+            self._confirm(id, _confirmed(id, answer))
+
+    def _confirm(self, id: bytes, confirmed: wire.Confirmed) -> None:
+        asked = self._asked[id]
+        self._answer(id, confirmed)
+        if asked.has_confirmed:
+            return
+        asked.has_confirmed = True
+        self.later(CONFIRMED_AGAIN, lambda: self._confirm_again(id, confirmed))
+
+    def _confirm_again(self, id: bytes, confirmed: wire.Confirmed) -> None:
+        """To those who know the certificate: with that the copy would be a large datagram."""
+        asked = self._asked.get(id)
+        askers = asked.askers.items() if asked is not None else ()
+        for origin in [origin for origin, asker in askers if not asker.signed.unknown]:
+            self._answer(id, confirmed, origin)
 
     def _relay(self, checking: Checking) -> None:
         """Hand the datagram on, unchanged, to those for which the desk asks that."""
@@ -234,10 +271,10 @@ class OrderDatagrams:
 
     def _answer(self, id: bytes, answer: wire.Answer, only: Origin | None = None) -> None:
         """Answer all who ask, each with the number of the latest datagram."""
-        for origin, signed in self._asked[id].askers.items():
+        for origin, asker in self._asked[id].askers.items():
             if only is None or origin == only:
-                numbered = wire.with_attempt(answer, signed.attempt)
-                reply = self._signer.answer(numbered, unknown=signed.unknown)
+                numbered = wire.numbered(answer, asker.signed.attempt, self._now() - asker.came)
+                reply = self._signer.answer(numbered, unknown=asker.signed.unknown)
                 # A certificate with a very long name has no room in a datagram: the connection has to do.
                 with suppress(WireError):
                     self._reply(origin, id, wire.encode_datagram(reply))

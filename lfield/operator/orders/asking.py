@@ -1,8 +1,9 @@
 """One order to several hosts, as datagrams: what to send, when to repeat it, what each has answered. Pure.
 
-The order is signed for the hosts together, and sent to each of them. A host that answers with a challenge
-gets the same order, signed again with its present epoch. What a host does not answer is repeated by the
-measured round trip; after two datagrams without an answer, hosts that do answer are asked to relay it.
+The order is signed for each host, and sent twice to begin with: the second copy does not wait for the round
+trip. A host that answers with a challenge gets the same order, signed again with its present epoch. What a
+host does not answer is repeated by the measured round trip, at a rate that a slow radio can carry; after some
+datagrams without an answer, hosts that do answer are asked to relay it.
 """
 
 from __future__ import annotations
@@ -18,7 +19,6 @@ from lfield.errors import LfieldError, WireError
 from lfield.net.health.heartbeats import Smoothed
 from lfield.wire.orders import (
     HOLDS,
-    MAX_DATAGRAM,
     UNKNOWN,
     Answer,
     CertificateRequest,
@@ -26,6 +26,7 @@ from lfield.wire.orders import (
     Confirmed,
     Denied,
     Epochs,
+    For,
     Kind,
     Order,
     Received,
@@ -33,37 +34,39 @@ from lfield.wire.orders import (
     SignedOrder,
     decode_datagram,
     encode_datagram,
-    parts,
     short_reason,
 )
 
-#: After so many datagrams without an answer a host is also asked through others, so many at a time.
-RELAY_AFTER, RELAYS = 2, 2
-#: A connection, whose handshake takes 4-5 kB, is begun after RELAY_AFTER of them, and after so many where
-#: datagrams have come through before.
-LINK_AFTER = 5
+#: After so many datagrams without an answer a host is also asked through another one, in turns.
+RELAY_AFTER = 3
+#: A connection, whose handshake takes 4-5 kB, is begun after so many of them. Where datagrams of any host
+#: have come through, it is begun after more, and after so many seconds.
+LINK_AFTER, LINK_AFTER_MORE, LINK_AFTER_SECONDS = 2, 5, 0.4
 #: A host gets an order signed anew at most so often.
 MOST_SIGNED = 8
-#: A confirmation is a measurement of the round trip where there is none, of so many seconds at most.
-PROMPT = 0.1
-#: What stands beside the hosts in a datagram at most, in bytes: reason, signature, id and framing.
-_BESIDE = 320
-
-
-#: Before any round trip is measured, the shortest interval in seconds, and the rate in bytes/s that all hosts
-#: together are sent: half of a radio of 57.6 kbit/s, whose other half is for the answers.
-FIRST, RATE = 0.1, 3600.0
+#: Before any round trip is measured, the shortest interval in seconds.
+FIRST = 0.1
+#: The rate in bytes/s at which all hosts together are sent to: half of a radio of 57.6 kbit/s, whose other
+#: half is for the answers. Where an order to each of some hosts and the answers, so many bytes each, have
+#: passed within the longest round trip, the rate is at least that.
+RATE, EXCHANGE = 3600.0, 400.0
+#: Bytes beside order and certificate in a datagram, headers of IPv6 and UDP included, and of a certificate
+#: that a host shows in its answer.
+BESIDE, SHOWN = 148, 500
 #: The shortest and the longest interval, in seconds. So many are alike, since radio loses at random; by this
 #: factor each further one is longer.
-SHORTEST, LONGEST, ALIKE, BACKOFF = 0.04, 1.0, 4, 1.5
+SHORTEST, LONGEST, ALIKE, BACKOFF = 0.04, 1.0, 6, 1.5
+#: So many are alike where nothing was ever answered: it may be that a queue holds what was sent.
+ALIKE_UNANSWERED = 2
 #: How much the round trip may vary is not known after one measurement: this part of it.
 FIRST_VARIATION = 0.25
 #: A variation of the round trip of less than so many seconds is taken for so many.
 LEAST_VARIATION = 0.01
 #: An answer is missed after the round trip and so many variations of it.
 VARIATIONS = 2.0
-#: What is received but not confirmed is asked for after one interval, then two, up to so many.
-EXECUTING = 4
+#: What is received but not confirmed is asked for after so many seconds at least, and after so many
+#: intervals at most where the host has said again that it is executing.
+LEAST_EXECUTING, EXECUTING = 0.1, 4
 
 
 class Send(NamedTuple):
@@ -82,6 +85,8 @@ class RoundTrip(Smoothed):
 
     def __init__(self, measured: float | None = None) -> None:
         super().__init__(measured, FIRST_VARIATION)
+        #: The latest sample of this order in seconds, and the least: what a later order begins with.
+        self.latest, self.least = 0.0, measured
 
     @property
     def time_out(self) -> float | None:
@@ -92,18 +97,24 @@ class RoundTrip(Smoothed):
         """
         if self.mean is None:
             return None
-        late = self.mean + max(VARIATIONS * self.variation, LEAST_VARIATION)
+        late = max(self.mean + max(VARIATIONS * self.variation, LEAST_VARIATION), self.latest)
         return min(max(late, SHORTEST), LONGEST)
+
+    def count(self, sample: float) -> None:
+        """See `Smoothed.count`. An answer that came later than the mean shows a queue that is still there."""
+        super().count(sample)
+        # The first sample of an order takes the place of what an earlier one has measured.
+        self.least = min(sample, self.least) if self.latest and self.least else sample
+        self.latest = sample
 
 
 @dataclass(slots=True)
 class _Host:
-    """What is known of one host of the order. `place` is its number in `signed`."""
+    """What is known of one host of the order."""
 
     epochs: Epochs
     trip: RoundTrip
     signed: SignedOrder
-    place: int
     named: bytes
     known: Known | None = None
     certificate: bytes = b""
@@ -113,6 +124,9 @@ class _Host:
     #: How many datagrams were sent, how many of those since the latest answer, and when each was.
     attempts: int = 0
     unanswered: int = 0
+    #: When the first of those was sent, and how long before the last of them.
+    silent_since: float = 0.0
+    silent_for: float = 0.0
     sent: dict[int, float] = field(default_factory=dict)
     times_signed: int = 1
     due: float | None = None
@@ -142,13 +156,9 @@ class Asking:
         self._reason, self._signer, self._certificates = short_reason(reason), signer, certificates
         self._hosts: dict[str, _Host] = {}
         self._out: list[Send] = []
-        named = {host: epochs.of(kind) for host, epochs in hosts.items()}
-        for part in parts(named, MAX_DATAGRAM - len(signer.certificate) - _BESIDE):
-            signed = signer.order(Order(kind, id, self._reason, part))
-            for place, one in enumerate(part):
-                trip = RoundTrip((trips or {}).get(one.host))
-                shown = (known or {}).get(one.host)
-                self._hosts[one.host] = _Host(hosts[one.host], trip, signed, place, one.epoch, shown)
+        for host, epochs in hosts.items():
+            trip, shown = RoundTrip((trips or {}).get(host)), (known or {}).get(host)
+            self._hosts[host] = _Host(epochs, trip, self._signed(host, epochs), epochs.of(kind), shown)
 
     # --- out ------------------------------------------------------------------------------------------
 
@@ -171,7 +181,7 @@ class Asking:
     @property
     def trips(self) -> dict[str, float]:
         """The round trips that are measured, in seconds, for a later order."""
-        measured = {name: host.trip.mean for name, host in self._hosts.items()}
+        measured = {name: host.trip.least for name, host in self._hosts.items()}
         return {name: seconds for name, seconds in measured.items() if seconds is not None}
 
     @property
@@ -182,8 +192,9 @@ class Asking:
     @property
     def silent(self) -> frozenset[str]:
         """The hosts that have answered so few datagrams lately that a connection is needed."""
+        passes = any(host.trip.mean is not None for host in self._hosts.values())
         waiting = ((name, host) for name, host in self._hosts.items() if host.due is not None)
-        return frozenset(name for name, host in waiting if host.unanswered > _most_lost(host))
+        return frozenset(name for name, host in waiting if _is_silent(host, passes))
 
     @property
     def due(self) -> float | None:
@@ -259,12 +270,7 @@ class Asking:
             return
         self._certificates.add(known)
         host.known, host.has_answered, host.unanswered = known, True, 0
-        sent = host.sent.get(answer.attempt)
-        if not isinstance(answer, Confirmed):
-            self._measure(host, answer.attempt, now)
-        elif host.trip.mean is None and sent is not None:
-            # The devices took a part of it, but it is better than no measurement.
-            self._measure(host, answer.attempt, min(now, sent + PROMPT))
+        self._measure(host, answer.attempt, now - answer.held / 1000)
         if not isinstance(answer, Denied):
             host.epochs = answer.epochs
         match answer:
@@ -288,15 +294,19 @@ class Asking:
 
     def _sign_again(self, name: str, host: _Host, epochs: Epochs) -> None:
         host.epochs, host.named = epochs, epochs.of(self.kind)
-        (part,) = parts({name: host.named}, MAX_DATAGRAM)
-        host.signed, host.place = self._signer.order(Order(self.kind, self.id, self._reason, part)), 0
+        host.signed = self._signed(name, epochs)
         host.times_signed += 1
+
+    def _signed(self, name: str, epochs: Epochs) -> SignedOrder:
+        """The order for one host alone: all of them together would need larger datagrams."""
+        to = (For(name, epochs.of(self.kind)),)
+        return self._signer.order(Order(self.kind, self.id, self._reason, to))
 
     def _measure(self, host: _Host, attempt: int, now: float) -> None:
         sent = host.sent.pop(attempt, None)
         if sent is None:
             return
-        host.trip.count(now - sent)
+        host.trip.count(max(0.001, now - sent))
         # Hosts that have answered nothing yet were waited for without any measurement.
         for other in self._hosts.values():
             if other.due is not None and other.trip.mean is None and other.sent:
@@ -308,16 +318,18 @@ class Asking:
         host = self._hosts[name]
         host.attempts = (host.attempts + 1) % 256
         host.sent[host.attempts] = now
+        if not host.unanswered:
+            host.silent_since = now
         host.unanswered += 1
+        host.silent_for = now - host.silent_since
         self._put(name, host, host.attempts, ())
         self._plan(host, now)
 
     def _send_around(self, name: str, host: _Host) -> None:
-        """Ask hosts that have answered to relay the order to one that has not."""
+        """Ask a host that has answered to relay the order to one that has not."""
         others = [other for other, seen in self._hosts.items() if other != name and seen.has_answered]
-        for turn in range(min(RELAYS, len(others))):
-            relay = others[(host.attempts * RELAYS + turn) % len(others)]
-            self._put(relay, host, 0, (host.place,))
+        if others:
+            self._put(others[host.attempts % len(others)], host, 0, (0,))
 
     def _put(self, to: str, host: _Host, attempt: int, relay: tuple[int, ...]) -> None:
         certificate = host.certificate or (self._hosts[to].certificate if relay else b"")
@@ -338,24 +350,34 @@ class Asking:
         host.due = now + self._pause(host) * min(EXECUTING, max(1, host.receipts))
 
     def _pause(self, host: _Host) -> float:
+        """Seconds until a datagram is repeated.
+
+        Without a measurement of its own, a host is waited for as the slowest of the others.
+        """
+        measured = [late for one in self._hosts.values() if (late := one.trip.time_out) is not None]
+        late = host.trip.time_out or max(measured, default=FIRST)
+        repeats = max(0, host.unanswered - 1)
+        if not repeats and not host.has_answered:
+            # Most of what is lost is made good by a copy that waits for no answer.
+            late = min(late, SHORTEST)
+        if host.receipts and not host.unanswered:
+            late = max(late, LEAST_EXECUTING)
+        pace = self._pace()
+        if not measured:
+            late = max(late, pace)
+        longer = late * BACKOFF ** max(0, repeats - (ALIKE if measured else ALIKE_UNANSWERED))
+        return max(pace, min(longer, max(LONGEST, late)))
+
+    def _pace(self) -> float:
+        """Seconds that a slow radio takes for a datagram to each host that has no result, and the answers."""
         waiting = [one for one in self._hosts.values() if one.result is None]
-        size = sum(len(one.signed.order) + len(one.certificate) + 100 for one in waiting)
-        others = {name: one.trip for name, one in self._hosts.items()}
-        return _interval(host.trip, others, max(0, host.unanswered - 1), size)
+        size = sum(len(one.signed.order) + len(one.certificate) + BESIDE for one in waiting)
+        size += sum(SHOWN for one in waiting if one.certificate and one.known is None)
+        trips = [one.trip.mean for one in self._hosts.values() if one.trip.mean is not None]
+        return size / max(RATE, EXCHANGE * len(trips) / max(trips, default=1.0))
 
 
-def _most_lost(host: _Host) -> int:
-    return RELAY_AFTER if host.trip.mean is None else LINK_AFTER
-
-
-def _interval(trip: RoundTrip, others: Mapping[str, RoundTrip], repeats: int, size: int) -> float:
-    """Seconds until a datagram is repeated that was sent `repeats` times before.
-
-    Without a measurement of its own, a host is waited for as the slowest of the others. Where none is
-    measured, `size` bytes of all datagrams of a round bound the rate.
-    """
-    measured = trip.time_out
-    if measured is None:
-        known = [late for other in others.values() if (late := other.time_out) is not None]
-        measured = max(known) if known else max(FIRST, size / RATE)
-    return min(measured * BACKOFF ** max(0, repeats - ALIKE), max(LONGEST, measured))
+def _is_silent(host: _Host, passes: bool) -> bool:
+    if not passes:
+        return host.unanswered > LINK_AFTER
+    return host.unanswered > LINK_AFTER_MORE and host.silent_for >= LINK_AFTER_SECONDS

@@ -51,6 +51,7 @@ class Bench:
                 figure = replace(figure, rounds=self.rounds or figure.rounds)
                 for row in self._rows(figure, progress.tick):
                     rows.append(row)
+                    progress.row(row)
         except Exception as error:
             rows.append(Row("", name, error=sentence(error)))
         finally:

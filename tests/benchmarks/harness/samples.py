@@ -6,6 +6,7 @@ is the two sides of each round: both have seen the same weather.
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 
@@ -89,6 +90,12 @@ def in_turns(
             attempt(name, measure, f"round {number + 1} of {rounds}")
         order.reverse()
     return samples, errors
+
+
+def chosen(variable: str, names: tuple[str, ...]) -> list[str]:
+    """Those of the names that an environment variable lists; all when it is not set."""
+    said = os.environ.get(variable)
+    return [name for name in names if said is None or name in map(str.strip, said.split(","))]
 
 
 def sentence(error: BaseException) -> str:

@@ -47,6 +47,10 @@ class Progress:
     def __exit__(self, *_: object) -> None:
         self._bar.stop()
 
+    def row(self, row: Row) -> None:
+        """Say at once what is measured: the table comes when all is."""
+        self._bar.console.print(Text("   ".join(filter(None, _cells(row))), style="dim"), soft_wrap=True)
+
     def tick(self, text: str) -> None:
         """Say what goes on."""
         self._bar.update(self._task, description=f"{self._name}: {text}", refresh=True)

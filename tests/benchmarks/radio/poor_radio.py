@@ -5,12 +5,11 @@ teams, each on a radio of its own, are measured at a time; samples of all are pu
 
     make bench ONLY=radio                                     2,000 samples of each, some hours
     make bench ONLY=radio ROUNDS=100                          so many samples of each
-    PARTS=stops CELLS='20 %,200 ms + 5 %' make bench ONLY=radio ROUNDS=100
+    PARTS=stops CELLS='20 %,200 ms + 5 %' HOSTS=1 WAYS='command,page' make bench ONLY=radio ROUNDS=100
 """
 
 from __future__ import annotations
 
-import os
 import platform
 import socket
 from collections.abc import Callable, Iterator
@@ -19,7 +18,7 @@ from emulator.cells import CELLS
 from emulator.tun import missing
 from harness.checkout import Checkout
 from harness.figure import Figure, Row
-from harness.samples import Tick, sentence
+from harness.samples import Tick, chosen, sentence
 from radio.radio_parts import hops, idle, outages, stops
 
 SAMPLES = 2000
@@ -52,12 +51,6 @@ def rows(checkout: Checkout, samples: int, tick: Tick) -> Iterator[Row]:
                 yield from part(checkout, samples, tick, cell)
             except Exception as error:
                 yield Row(f"{name}, {cell}", "", error=sentence(error))
-
-
-def chosen(variable: str, names: tuple[str, ...]) -> list[str]:
-    """Those of the names that an environment variable lists; all when it is not set."""
-    said = os.environ.get(variable)
-    return [name for name in names if said is None or name in map(str.strip, said.split(","))]
 
 
 def kernel() -> str:

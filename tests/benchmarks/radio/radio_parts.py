@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
@@ -12,7 +13,7 @@ from emulator.radio import Radio
 from harness.checkout import Checkout
 from harness.figure import Row
 from harness.processes import Child, ChildError, Processes
-from harness.samples import Tick, sentence
+from harness.samples import Tick, chosen, sentence
 from harness.words import COUNT
 from radio.radio_lanes import Lane, StopLane, address_changes, collect, watch
 from radio.radio_lanes import outages as outages_of
@@ -20,16 +21,22 @@ from radio.radio_team import DESK, Prepared, RadioTeam
 
 from lfield.testing.keys import Keyring
 
-#: Lanes that are measured at a time: of long round trips, of short ones, and where only the processor counts.
-LANES, FAST_LANES, LANES_OF_FIVE = 20, 8, 6
+#: Lanes that are measured at a time: of long round trips and of short ones.
+LANES, FAST_LANES = 20, 8
+#: A vehicle, its host and its guard take about a quarter of a processor: so many vehicles for each, lest it
+#: be the processor that is measured.
+VEHICLES_OF_A_PROCESSOR = 1.5
 #: A lane that measures fewer is not worth its start.
 SAMPLES_OF_A_LANE = 10
 #: A round trip in s below which lanes keep a processor busy, and the size of a request in bytes.
 FAST, SIZE = 0.09, 600
+#: Links that were made on a perfect radio learn a longer round trip for so many seconds, on this one: else
+#: they fill a slow channel with repeats.
+MEANWHILE, ADAPTS = "50 ms", 6.0
 #: Bytes of a request that is as small as an order to stop.
 ORDER = 150
 #: Seconds between a lift and the next stop: the copter is released and held meanwhile.
-PAUSE = "1.0"
+PAUSE = "0.6"
 #: Samples of a lane that are not counted: the connection learns its round trip.
 WARM_UP = 10
 #: The seconds of outages, lanes that have them at a time, and seconds between two of them.
@@ -67,8 +74,8 @@ def hops(checkout: Checkout, samples: int, tick: Tick, cell: str) -> Iterator[Ro
 
 def stops(checkout: Checkout, samples: int, tick: Tick, cell: str) -> Iterator[Row]:
     """A stop of teams of one and of five hosts, from the command and the page, beside small requests."""
-    for hosts in (1, 5):
-        for way in ("command", "command, watch open", "page"):
+    for hosts in map(int, chosen("HOSTS", ("1", "5"))):
+        for way in chosen("WAYS", ("command", "watch open", "page")):
             case, shown = f"stop of {hosts}, {cell}", f"lfield, {way}"
             tick(f"{case}, {way}")
             try:
@@ -76,18 +83,21 @@ def stops(checkout: Checkout, samples: int, tick: Tick, cell: str) -> Iterator[R
             except Exception as error:
                 yield Row(case, shown, error=sentence(error))
     starters = {
-        name: peers(checkout, called, ORDER, fresh=fresh) for name, (called, fresh) in STOP_PEERS.items()
+        name: peers(checkout, STOP_PEERS[name][0], ORDER, fresh=STOP_PEERS[name][1])
+        for name in chosen("PEERS", tuple(STOP_PEERS))
     }
     yield from _compared(f"stop, {cell}", starters, samples, tick, cell)
 
 
 def _stops(checkout: Checkout, samples: int, cell: str, hosts: int, way: str) -> Iterator[Row]:
     with Processes() as processes:
-        seeds = _seeds(cell, samples, LANES if hosts == 1 else LANES_OF_FIVE)
+        most = int(VEHICLES_OF_A_PROCESSOR * (os.cpu_count() or 1) / hosts)
+        seeds = _seeds(cell, samples, max(1, most))
         lanes = stopping(checkout, processes, seeds, hosts, way)
         found = collect(lanes, cell, samples)
         sizes = [size / 1000 for lane in lanes for size in lane.sizes]
         yield Row(f"stop of {hosts}, {cell}", f"lfield, {way}", samples=found)
+        yield Row("", "load of this computer", COUNT, [round(os.getloadavg()[0], 1)])
         yield Row("", "sent and received for it", "kB", sizes)
         if again := sum(len(lane.again) for lane in lanes):
             yield Row("", "not confirmed, pressed again", COUNT, [again])
@@ -239,6 +249,8 @@ def vehicles(checkout: Checkout, processes: Processes, seeds: Sequence[int], hos
     for team in teams:
         for child in team.children.values():
             until(child, "ready")
+        team.radio.set(CELLS[MEANWHILE])
+    time.sleep(ADAPTS)
     return teams
 
 

@@ -1,0 +1,134 @@
+"""How long a stop takes over poor radio, in virtual time: the delay of the protocol without any computer's.
+
+Signatures are not made and not checked here: that would take most of the time of the test, and none of it is
+measured. `test_order_datagrams` has them.
+"""
+
+from __future__ import annotations
+
+import order_world
+import pytest
+import radio_stops
+from emulator.cells import CELLS
+from radio_stops import DESK, RadioDesk, RadioWorld
+
+from lfield.authority.orders.signing import Known, Signer
+from lfield.operator.orders import asking
+from lfield.wire.orders import Confirmed, SignedAnswer, decode_answer, decode_datagram, decode_order
+
+#: Seconds that a host needs to make its devices safe, and bytes/s that the links of each of five hosts carry
+#: at rest.
+EXECUTES, AT_REST = 0.05, 560.0
+#: Seconds between two stops.
+PAUSE = 1.5
+
+
+@pytest.fixture(autouse=True)
+def _unsigned(monkeypatch):
+    known = {}
+
+    class Unsigned(Signer):
+        def __init__(self, keys):
+            super().__init__(keys)
+            self._sign = lambda data: bytes(64)
+            known[self.digest] = Known(self.certificate, self.who)
+
+    monkeypatch.setattr(order_world, "Signer", Unsigned)
+    monkeypatch.setattr(radio_stops, "Signer", Unsigned)
+    monkeypatch.setattr(
+        asking,
+        "verified_answer",
+        lambda signed, _, authority: (decode_answer(signed.answer), known[signed.signer]),
+    )
+    monkeypatch.setattr(
+        order_world,
+        "verified_order",
+        lambda signed, _, authority: (decode_order(signed.order), known[signed.signer]),
+    )
+
+
+def stops(cell, hosts, count, *, at_rest=0.0, again=10):
+    """Seconds of each stop but the first of each desk, and the mean of bytes; sorted."""
+    found, sizes = [], []
+    for seed in range(count // again):
+        world = RadioWorld(CELLS[cell], hosts, seed, executes=EXECUTES, noise=at_rest)
+        desk = RadioDesk(world)
+        for number in range(again + 1):
+            before = world.bytes
+            took = max(desk.stop())
+            world.run(PAUSE)
+            if number:
+                found.append(took)
+                sizes.append(world.bytes - before)
+            desk.lifted()
+    return sorted(found), sum(sizes) / len(sizes)
+
+
+def percentile(samples, percent):
+    return samples[len(samples) * percent // 100]
+
+
+@pytest.mark.parametrize(
+    ("cell", "hosts", "at_rest", "within", "most"),
+    [
+        ("20 %", 1, 0.0, 0.3, 1200),
+        ("20 %", 5, 0.0, 0.4, 7000),
+        ("57.6 kbit/s + 100 ms + 5 %", 1, 0.0, 0.5, 1000),
+        ("57.6 kbit/s + 100 ms + 5 %", 5, 0.0, 0.8, 5000),
+        ("57.6 kbit/s + 100 ms + 5 %", 5, AT_REST, 1.5, 5000),
+        ("200 ms + 5 %", 1, 0.0, 0.6, 1000),
+        ("200 ms + 5 %", 5, 0.0, 0.8, 5000),
+    ],
+)
+def test_of_100_stops_one_takes_longer(cell, hosts, at_rest, within, most):
+    took, size = stops(cell, hosts, 100 if at_rest else 200, at_rest=at_rest)
+    assert percentile(took, 99) <= within
+    assert size <= most
+
+
+def test_a_slow_radio_that_is_full_at_rest_is_not_flooded_by_stops():
+    took, size = stops("57.6 kbit/s + 100 ms + 5 %", 5, 30, at_rest=1000.0)
+    assert took[-1] <= 4.0
+    assert size <= 9000
+
+
+@pytest.mark.parametrize(
+    ("cell", "hosts", "within"), [("20 %", 1, 0.8), ("57.6 kbit/s + 100 ms + 5 %", 5, 4.0)]
+)
+def test_a_desk_that_knows_nothing_of_the_hosts_takes_longer(cell, hosts, within):
+    found = []
+    for seed in range(60):
+        desk = RadioDesk(RadioWorld(CELLS[cell], hosts, seed, executes=EXECUTES))
+        found.append(max(desk.stop()))
+    assert max(found) <= within
+
+
+def confirmations(world):
+    """How many confirmations each host has sent."""
+    counts = {}
+    for source, _, data in world.sent:
+        datagram = decode_datagram(data)
+        if isinstance(datagram, SignedAnswer) and isinstance(decode_answer(datagram.answer), Confirmed):
+            counts[source] = counts.get(source, 0) + 1
+    return counts
+
+
+def test_a_confirmation_is_sent_twice_and_then_only_when_it_is_asked_for():
+    world = RadioWorld(CELLS["50 ms"], 1, 1, executes=EXECUTES, keeps=True)
+    desk = RadioDesk(world)
+    list(desk.stop())
+    desk.lifted()
+    world.sent.clear()
+    list(desk.stop())
+    world.run(10.0)
+    orders = sum(source == DESK for source, _, _ in world.sent)
+    assert orders == 2
+    assert confirmations(world) == {"h0": 2}
+
+
+def test_the_time_that_devices_need_is_not_taken_for_a_round_trip():
+    world = RadioWorld(CELLS["50 ms"], 3, 1, executes=0.6)
+    desk = RadioDesk(world)
+    list(desk.stop())
+    assert all(0.05 <= trip <= 0.06 for trip in desk.trips.values())
+    assert len(desk.trips) == 3
