@@ -45,7 +45,7 @@ LINK_AFTER, LINK_AFTER_MORE, LINK_AFTER_SECONDS = 2, 5, 0.4
 #: A host gets an order signed anew at most so often.
 MOST_SIGNED = 8
 #: Before any round trip is measured, the shortest interval in seconds.
-FIRST = 0.1
+FIRST = 0.06
 #: The rate in bytes/s at which all hosts together are sent to: half of a radio of 57.6 kbit/s, whose other
 #: half is for the answers. Where an order to each of some hosts and the answers, so many bytes each, have
 #: passed within the longest round trip, the rate is at least that.
@@ -57,7 +57,7 @@ BESIDE, SHOWN = 148, 500
 #: factor each further one is longer.
 SHORTEST, LONGEST, ALIKE, BACKOFF = 0.04, 1.0, 6, 1.5
 #: So many are alike where nothing was ever answered: it may be that a queue holds what was sent.
-ALIKE_UNANSWERED = 2
+ALIKE_UNANSWERED = 4
 #: How much the round trip may vary is not known after one measurement: this part of it.
 FIRST_VARIATION = 0.25
 #: A variation of the round trip of less than so many seconds is taken for so many.

@@ -355,7 +355,10 @@ def _ready() -> None:
 
 if __name__ == "__main__":
     what, called, where, of_host, *more = sys.argv[1:]
-    if what == "serve":
-        SERVERS[called](where, Path(of_host))
-    else:
-        ask(called, where, Path(of_host), int(more[0]), float(more[1]), "fresh" in more)
+    try:
+        if what == "serve":
+            SERVERS[called](where, Path(of_host))
+        else:
+            ask(called, where, Path(of_host), int(more[0]), float(more[1]), "fresh" in more)
+    except ModuleNotFoundError as error:
+        sys.exit(f"{error.name} is not installed here: 'make bench' installs deploy/locks/bench.txt in .venv")
