@@ -17,7 +17,7 @@ from lfield.errors import AddressError, KeysError, LfieldError, NobodyListens
 from lfield.net.tcp import TcpTransport
 from lfield.net.transport import UNIX, Transport, is_number
 from lfield.operator.addressed import Party, Place
-from lfield.operator.observing import Brought, OrderMessage, Request, ask
+from lfield.operator.observing import Brought, OrderMessage, Request, ask_persistently
 from lfield.operator.orders.known_hosts import KnownHosts
 from lfield.text.visible import in_one_line
 from lfield.wire.fields import clip
@@ -49,8 +49,8 @@ Answers = Mapping[str, T | LfieldError]
 #: Gives an order to a host over the connection that stands; raises AddressError where there is none.
 Standing = Callable[[str, OrderMessage], Awaitable[EmergencyStopped]]
 
-#: Seconds before something is asked again.
-AGAIN_AFTER = 0.1
+#: Answers are told after so many seconds, and then as often, while another host has not answered.
+TOLD_AFTER = 1.0
 #: So many hosts are asked at a time, and so many that are in runs of other users: a process may have 1024
 #: descriptors. Of one such run so many hosts that did not answer get a line each.
 AT_ONCE, BESIDE, MOST_LINES = 512, 128, 8
@@ -109,7 +109,10 @@ def ask_parties(
 def asked_in_turn(
     parties: Sequence[Party], request: Request[T], keys: Path | None = None
 ) -> Iterator[dict[Place, T | LfieldError]]:
-    """The same as it comes: first what is believed, then what hosts of other users' runs have said.
+    """The same in parts, none of them empty, the answers of other users' hosts last.
+
+    A host that does not answer does not delay the answers of others by more than TOLD_AFTER. Nothing is sent
+    while the caller uses a part.
 
     What a bug of ours has kept from being asked, or heard, is raised when everybody else has been asked.
     """
@@ -129,10 +132,19 @@ def asked_in_turn(
     asked = {place: address for place, address in places.items() if place not in failed}
     with asyncio.Runner() as runner:
         asking = runner.run(_in_loop(lambda: _AskingAll(transport, asked, request, brings, desk)))
-        answers = failed | runner.run(asking.believed())
-        yield {place: answers[place] for place in places if not place.user}
+        answers = dict(failed)
+        told: set[Place] = set()
+        is_complete = False
+        while not is_complete:
+            is_complete = runner.run(asking.believed_within(TOLD_AFTER))
+            answers |= asking.answered
+            part = [place for place in places if not place.user and place in answers.keys() - told]
+            told.update(part)
+            if part:
+                yield {place: answers[place] for place in part}
         answers |= runner.run(asking.others())
-        yield {place: answers[place] for place in places if place.user}
+        if others := {place: answers[place] for place in places if place.user}:
+            yield others
     if known is not None:
         _remember(known, answers)
     for bug in asking.bugs:
@@ -286,6 +298,7 @@ class _AskingAll(Generic[K, T]):
         self._given = self._give(believed)
         # First, so that their links are there before others can take descriptors.
         self._believed = loop.create_task(self._each(believed, AT_ONCE))
+        self._believed.add_done_callback(self._end_datagrams)
         share = max(1, BESIDE // max(1, len(users)))
         self._others = [loop.create_task(self._each(keys, share)) for keys in users.values()]
 
@@ -299,6 +312,12 @@ class _AskingAll(Generic[K, T]):
             if not self._addresses[key].startswith(UNIX):
                 runs[_run(key)][_host(key)] = self._addresses[key]
         return {run: desk.give(message, addresses) for run, addresses in runs.items()}
+
+    def _end_datagrams(self, _: object) -> None:
+        """Nothing is asked any more, also where somebody has interrupted it."""
+        for given in self._given.values():
+            assert self._desk is not None
+            self._desk.taken(given)
 
     async def _each(self, keys: Sequence[K], most: int) -> None:
         """Ask so many at a time, in their order."""
@@ -326,7 +345,7 @@ class _AskingAll(Generic[K, T]):
 
     async def _ask(self, key: K, address: str) -> T:
         host, message = _host(key), self._request.message
-        new_link = partial(_persistently, self._transport, address, self._request, host, self._brings)
+        new_link = partial(ask_persistently, self._transport, address, self._request, host, self._brings)
         if not isinstance(message, OrderMessage) or _user(key):
             return await new_link()
         given = None if address.startswith(UNIX) else self._given.get(_run(key))
@@ -338,15 +357,21 @@ class _AskingAll(Generic[K, T]):
         # An order is answered in one way.
         return cast("T", await first_answer(host, cast("Any", new_link), given, standing))
 
+    @property
+    def answered(self) -> Mapping[K, T | LfieldError]:
+        """The answers that have come, without those of other users' hosts."""
+        return {key: answer for key, answer in self._answers.items() if not _user(key)}
+
+    async def believed_within(self, seconds: float) -> bool:
+        """Wait for the answers of `believed` for so long at most; returns whether they are complete."""
+        done, _ = await asyncio.wait([self._believed], timeout=seconds)
+        for task in done:
+            task.result()
+        return bool(done)
+
     async def believed(self) -> dict[K, T | LfieldError]:
         """The answers of all that are there on nobody else's word."""
-        try:
-            await self._believed
-        finally:
-            for given in self._given.values():
-                assert self._desk is not None
-                self._desk.taken(given)
-            self._given = {}
+        await self._believed
         return {key: self._answers[key] for key in self._addresses if not _user(key)}
 
     async def others(self) -> dict[K, T | LfieldError]:
@@ -374,20 +399,3 @@ def _run(key: Hashable) -> str:
 
 def _user(key: Hashable) -> str:
     return key.user if isinstance(key, Place) else ""
-
-
-async def _persistently(
-    transport: Transport, address: str, request: Request[T], host: str, brings: Brought | None
-) -> T:
-    """As `ask`, and once more for as long as there is time for what is asked again."""
-    loop = asyncio.get_running_loop()
-    end = loop.time() + request.bound
-    while True:
-        try:
-            return await ask(transport, address, request, host, brings)
-        except NobodyListens:
-            raise
-        except AddressError:
-            if not request.again or loop.time() + AGAIN_AFTER > end:
-                raise
-        await asyncio.sleep(AGAIN_AFTER)

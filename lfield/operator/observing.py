@@ -6,7 +6,7 @@ import asyncio
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Generic, NamedTuple, TypeVar
 
-from lfield.errors import AddressError, GreetingError, KeysError, LfieldError, WireError
+from lfield.errors import AddressError, GreetingError, KeysError, LfieldError, NobodyListens, WireError
 from lfield.net.greeting import Greeting
 from lfield.wire.messages import Hello, Message, Refuse, Revocations
 from lfield.wire.observing import (
@@ -29,6 +29,8 @@ if TYPE_CHECKING:
 
 T = TypeVar("T", bound=Status | EmergencyStopped | Forgotten | Recovered | StartResponse)
 
+#: Seconds before something is asked again.
+AGAIN_AFTER = 0.1
 #: A message that is an order, and so has an id and the epoch of its host.
 OrderMessage = EmergencyStop | Pause
 
@@ -110,6 +112,23 @@ async def ask(
         asking.answer.cancel()
         if link is not None:
             link.close()
+
+
+async def ask_persistently(
+    transport: Transport, address: str, request: Request[T], host: str, brings: Brought | None
+) -> T:
+    """As `ask`, and once more for as long as there is time for what is asked again."""
+    loop = asyncio.get_running_loop()
+    end = loop.time() + request.bound
+    while True:
+        try:
+            return await ask(transport, address, request, host, brings)
+        except NobodyListens:
+            raise
+        except AddressError:
+            if not request.again or loop.time() + AGAIN_AFTER > end:
+                raise
+        await asyncio.sleep(AGAIN_AFTER)
 
 
 class _Asking(ObserverLink, Generic[T]):

@@ -156,6 +156,18 @@ def test_what_is_believed_is_told_before_others_have_answered(doors, tmp_path):
     assert all(isinstance(answer, AddressError) for answer in rest.values())
 
 
+def test_answers_are_told_while_another_host_is_still_asked(doors, monkeypatch):
+    monkeypatch.setattr(ask, "TOLD_AFTER", 0.05)
+    party = run_in(doors, 2)
+    gone = dict.fromkeys(["h1"], f"unix:{doors}/nobody.sock")
+    party = Party(party.runs, {**party.addresses, **gone})
+    turns = asked_in_turn([party], Request(StatusRequest(), Status, 0.5))
+    first = next(turns)
+    assert [(place.host, type(answer)) for place, answer in first.items()] == [("h1", NobodyListens)]
+    (rest,) = turns
+    assert [(place.host, type(answer)) for place, answer in rest.items()] == [("h0", AddressError)]
+
+
 def test_nothing_is_left_behind_of_links_that_end_before_they_are_there(doors):
     """A future with an error that nobody has taken is told by Python itself, on stderr."""
     said: list[str] = []

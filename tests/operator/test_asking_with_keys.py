@@ -17,7 +17,7 @@ from lfield.errors import AddressError, GreetingError, KeysError
 from lfield.net.greeting import Greeting
 from lfield.net.tcp import TcpTransport
 from lfield.net.tls import Tls
-from lfield.operator import ask
+from lfield.operator import ask, observing
 from lfield.operator.addressed import Party, Place
 from lfield.testing.keys import Keyring
 from lfield.wire.messages import Hello, Revocations
@@ -126,7 +126,7 @@ class Crowded(Alpha):
 
 
 def test_a_stop_is_asked_again_where_callers_are_turned_away(ring, monkeypatch):
-    monkeypatch.setattr(ask, "AGAIN_AFTER", 0.01)
+    monkeypatch.setattr(observing, "AGAIN_AFTER", 0.01)
     assert asked(ring, ask.emergency_stop("fire"), ring.folder, Crowded(7))[0] == EmergencyStopped({})
     assert isinstance(asked(ring, keys=ring.folder, host=Crowded(7))[0], AddressError)
     # Who refuses has answered.

@@ -53,7 +53,6 @@ def run(args: argparse.Namespace) -> int:
     try:
         told = told_in_turn(parties, emergency_stop(reason, lift=args.lift), args.keys, names, word)
     except KeyboardInterrupt:
-        _tell("interrupted: not every host has answered; press it again")
         return exits.UNSAFE
     return came_of(parties, told, names, args.keys, looks=not (args.lift or args.no_wait))
 
@@ -82,16 +81,24 @@ def told_in_turn(
     names: Mapping[Place, str],
     word: str,
 ) -> Told:
-    """Ask for it, and tell what each host says as it comes; devices are then what the `word` says."""
+    """Ask for it, and tell what each host says as it comes; devices are then what the `word` says.
+
+    Raises KeyboardInterrupt after a sentence that names the hosts whose answers were not told.
+    """
     from lfield.operator.ask import asked_in_turn
 
     answers: dict[Place, EmergencyStopped | LfieldError] = {}
     confirmed = everybody = True
-    for some in asked_in_turn(parties, request, keys):
-        confirmed &= _all_confirmed(some, names, word)
-        _tell_not_kept(some, names)
-        everybody &= _all_reached(some, names)
-        answers |= some
+    try:
+        for some in asked_in_turn(parties, request, keys):
+            confirmed &= _all_confirmed(some, names, word)
+            _tell_not_kept(some, names)
+            everybody &= _all_reached(some, names)
+            answers |= some
+    except KeyboardInterrupt:
+        left = ", ".join(name for place, name in names.items() if place not in answers)
+        _tell(clipped(f"interrupted: no answer is known of {left}; press it again", _LINE))
+        raise
     return Told(answers, confirmed, everybody)
 
 

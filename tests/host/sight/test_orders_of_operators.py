@@ -37,10 +37,19 @@ agents: {arm2: {payload: 1.2}}
 
 
 @asynccontextmanager
-async def operated(fleet, mission, asked=None):
+async def operated(fleet, mission, asked=None, dialled=None):
+    """`dialled` collects the addresses that the desk connects to."""
     party = Party((), mission.team.reached)
     reach = Reach(party, lambda: [])
     transport = fleet.network.transport("desk")
+    connect = transport.connect
+
+    async def counted(address, handler):
+        if dialled is not None:
+            dialled.append(address)
+        return await connect(address, handler)
+
+    transport.connect = counted
     shown = Watched(roll_of("team", mission.team, mission), LoopClock())
 
     def ask():
@@ -51,8 +60,10 @@ async def operated(fleet, mission, asked=None):
     async def at_once(work, *args):
         return work(*args)
 
-    shown.actions = Orders(transport, reach, shown, mission.team, ask, beside=at_once)
     follower = Follower(transport, reach.hosts, reach, shown, LoopClock())
+    shown.actions = Orders(
+        transport, reach, shown, mission.team, ask, beside=at_once, standing=follower.order
+    )
     task = asyncio.create_task(follower.run())
     try:
         await fleet.until(lambda: all(host.linked for host in shown.seen().hosts.values() if host.host))
@@ -62,11 +73,11 @@ async def operated(fleet, mission, asked=None):
         await asyncio.gather(task, return_exceptions=True)
 
 
-def operate(fleet, story, asked=None) -> None:
+def operate(fleet, story, asked=None, dialled=None) -> None:
     async def main(fleet) -> None:
         mission = fleet.mission(PROGRAM, TEAM, capabilities=CAPABILITIES)
         hosts = await fleet.up(mission)
-        async with operated(fleet, mission, asked) as shown:
+        async with operated(fleet, mission, asked, dialled) as shown:
             await story(fleet, shown, hosts)
 
     fleet(main)
@@ -84,6 +95,25 @@ def test_a_stop_is_seen_by_whoever_watches_until_it_is_lifted(fleet) -> None:
         await fleet.until(lambda: not shown.seen().stop.stands)
 
     operate(fleet, story)
+
+
+def test_orders_go_over_the_connections_that_stand_and_over_a_new_one_where_there_is_none(fleet) -> None:
+    dialled: list[str] = []
+
+    async def story(fleet, shown, hosts) -> None:
+        actions = shown.actions
+        assert len(dialled) == len(hosts)
+        for order in (actions.stop, actions.lift, actions.pause, actions.resume):
+            done = await order()
+            assert (done.well, done.unreached) == (True, {})
+        assert len(dialled) == len(hosts)
+        await hosts[1].host.stop()
+        del dialled[:]
+        assert list((await actions.stop()).unreached) == ["beta"]
+        assert dialled
+        assert len(set(dialled)) == 1
+
+    operate(fleet, story, dialled=dialled)
 
 
 def test_a_pause_is_seen_until_it_is_over(fleet) -> None:
