@@ -117,7 +117,7 @@ def asked_in_turn(
     What a bug of ours has kept from being asked, or heard, is raised when everybody else has been asked.
     """
     places = {place: address for party in parties for place, address in party.places.items()}
-    failed: dict[Place, LfieldError] = {}
+    failed: dict[Place, T | LfieldError] = {}
     known, desk = None, None
     try:
         own = own_keys(places.values(), keys)
@@ -133,8 +133,7 @@ def asked_in_turn(
     with asyncio.Runner() as runner:
         asking = runner.run(_in_loop(lambda: _AskingAll(transport, asked, request, brings, desk)))
         answers = dict(failed)
-        told: set[Place] = set()
-        is_complete = False
+        told, is_complete = set[Place](), False
         while not is_complete:
             is_complete = runner.run(asking.believed_within(TOLD_AFTER))
             answers |= asking.answered
