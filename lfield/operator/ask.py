@@ -117,7 +117,7 @@ def asked_in_turn(
     What a bug of ours has kept from being asked, or heard, is raised when everybody else has been asked.
     """
     places = {place: address for party in parties for place, address in party.places.items()}
-    failed: dict[Place, T | LfieldError] = {}
+    failed: dict[Place, LfieldError] = {}
     known, desk = None, None
     try:
         own = own_keys(places.values(), keys)
@@ -132,10 +132,11 @@ def asked_in_turn(
     asked = {place: address for place, address in places.items() if place not in failed}
     with asyncio.Runner() as runner:
         asking = runner.run(_in_loop(lambda: _AskingAll(transport, asked, request, brings, desk)))
-        answers = dict(failed)
-        told, is_complete = set[Place](), False
-        while not is_complete:
-            is_complete = runner.run(asking.believed_within(TOLD_AFTER))
+        answers: dict[Place, T | LfieldError] = {**failed}
+        told: set[Place] = set()
+        complete = False
+        while not complete:
+            complete = runner.run(asking.believed_within(TOLD_AFTER))
             answers |= asking.answered
             part = [place for place in places if not place.user and place in answers.keys() - told]
             told.update(part)
@@ -364,9 +365,7 @@ class _AskingAll(Generic[K, T]):
     async def believed_within(self, seconds: float) -> bool:
         """Wait for the answers of `believed` for so long at most; returns whether they are complete."""
         done, _ = await asyncio.wait([self._believed], timeout=seconds)
-        for task in done:
-            task.result()
-        return bool(done)
+        return any(task.result() is None for task in done)
 
     async def believed(self) -> dict[K, T | LfieldError]:
         """The answers of all that are there on nobody else's word."""
