@@ -10,7 +10,7 @@ from lfield.authority.identity import STRANGER, Identity
 from lfield.errors import AddressError, LfieldError, OverBudget, WireError
 from lfield.net.door import caller_at, host_at, socket_address
 from lfield.net.framed import FramedLink
-from lfield.net.health.tcp_options import LEAST_MARGIN, counts, margin, set_margin, set_options
+from lfield.net.health.tcp_options import counts, set_options, set_time_outs
 from lfield.net.waiting.handshakes import source_of
 from lfield.net.waiting.sending import HIGH_WATER, Sending
 
@@ -75,9 +75,9 @@ class StreamLink(FramedLink, asyncio.Protocol):
         self._left: Iterator[None] | None = None
         #: Whether the member is not to be read for now, and whether nothing is read.
         self._is_held = self._is_paused = False
-        #: The socket of a connection over TCP, and the margin of its retransmission time-out, in seconds.
+        #: The socket of a connection over TCP, and the round trip in seconds that its time-outs are set for.
         self._socket: Socket | None = None
-        self._margin = LEAST_MARGIN
+        self._expected = 0.0
 
     async def ready(self) -> None:
         """Return when messages can be sent. Raises GreetingError, WireError and AddressError."""
@@ -149,11 +149,11 @@ class StreamLink(FramedLink, asyncio.Protocol):
             self._max_pending = min(self._max_pending, FOR_OBSERVERS)
 
     def expect(self, round_trip: float) -> None:
-        """See `Link.expect`: the option is set when it changes by a quarter."""
-        wanted = margin(round_trip)
-        if self._socket is not None and not self.closed and not 0.8 <= wanted / self._margin <= 1.25:
-            self._margin = wanted
-            set_margin(self._socket, wanted)
+        """See `Link.expect`: the time-outs are set when the round trip changes by a quarter."""
+        is_near = 0.8 * self._expected <= round_trip <= 1.25 * self._expected
+        if self._socket is not None and not self.closed and not is_near:
+            self._expected = round_trip
+            set_time_outs(self._socket, round_trip)
 
     def counts(self) -> Counts | None:
         """See `Link.counts`."""

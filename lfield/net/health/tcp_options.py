@@ -32,6 +32,10 @@ LONGEST_ACK_DELAY_US = 5_000
 #: bounds. A short margin repeats a lost packet early; one that is too short for the path repeats packets that
 #: are only late, which a slow channel has no room for.
 MARGIN, LEAST_MARGIN, MOST_MARGIN = 0.5, 0.02, 0.2
+#: From this round trip in s on, time-outs double, and the longest is so many round trips. A longer round trip
+#: is mostly a queue: where all connections of a slow channel repeat each second what still waits in it, the
+#: repeats fill the channel for good (congestion collapse, RFC 896).
+CONGESTED, LONGEST_TIMEOUT = 0.5, 4.0
 
 #: The part of `struct tcp_info` up to `tcpi_dsack_dups`, and where its fields are.
 _INFO_SIZE = 220
@@ -53,14 +57,12 @@ def set_options(made: Socket) -> None:
     # A hop is one small write that nobody answers: it must not wait to be joined by more.
     made.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
     for option, value in (
-        (THIN_LINEAR_TIMEOUTS, 1),
-        (RTO_MAX_MS, LONGEST_TIMEOUT_MS),
         (NOTSENT_LOWAT, MOST_NOT_SENT),
         (DELACK_MAX_US, LONGEST_ACK_DELAY_US),
     ):
         with suppress(OSError):
             made.setsockopt(socket.IPPROTO_TCP, option, value)
-    set_margin(made, LEAST_MARGIN)
+    set_time_outs(made, 0.0)
 
 
 def margin(round_trip: float) -> float:
@@ -68,10 +70,21 @@ def margin(round_trip: float) -> float:
     return min(MOST_MARGIN, max(LEAST_MARGIN, MARGIN * round_trip))
 
 
-def set_margin(made: Socket, seconds: float) -> None:
-    """Set the margin of the retransmission time-out over the round trip, where this kernel has the option."""
-    with suppress(OSError):
-        made.setsockopt(socket.IPPROTO_TCP, RTO_MIN_US, round(seconds * 1e6))
+def set_time_outs(made: Socket, round_trip: float) -> None:
+    """Set the retransmission time-outs for a measured round trip in s, where this kernel has the options."""
+    congested = round_trip >= CONGESTED
+    longest = (
+        max(LONGEST_TIMEOUT_MS, round(LONGEST_TIMEOUT * round_trip * 1e3))
+        if congested
+        else LONGEST_TIMEOUT_MS
+    )
+    for option, value in (
+        (THIN_LINEAR_TIMEOUTS, int(not congested)),
+        (RTO_MAX_MS, longest),
+        (RTO_MIN_US, round(margin(round_trip) * 1e6)),
+    ):
+        with suppress(OSError):
+            made.setsockopt(socket.IPPROTO_TCP, option, value)
 
 
 def counts(made: Socket) -> Counts | None:

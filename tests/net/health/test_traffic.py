@@ -1,6 +1,7 @@
 """Loss and bytes of a link, from the counters of the kernel."""
 
 import socket
+from contextlib import suppress
 
 import pytest
 
@@ -84,8 +85,19 @@ def test_an_option_that_the_kernel_does_not_have_is_left_out(pair, monkeypatch):
     for name in ("RTO_MAX_MS", "RTO_MIN_US", "DELACK_MAX_US"):
         monkeypatch.setattr(tcp_options, name, 9999)
     set_options(near)
-    tcp_options.set_margin(near, 0.1)
+    tcp_options.set_time_outs(near, 0.2)
     assert near.getsockopt(socket.IPPROTO_TCP, tcp_options.THIN_LINEAR_TIMEOUTS) == 1
+
+
+@pytest.mark.parametrize(("round_trip", "linear"), [(0.02, 1), (0.4, 1), (0.5, 0), (3.0, 0)])
+def test_a_queue_in_the_path_makes_time_outs_double(pair, round_trip, linear):
+    near, _ = pair
+    set_options(near)
+    tcp_options.set_time_outs(near, round_trip)
+    assert near.getsockopt(socket.IPPROTO_TCP, tcp_options.THIN_LINEAR_TIMEOUTS) == linear
+    with suppress(OSError):
+        longest = near.getsockopt(socket.IPPROTO_TCP, tcp_options.RTO_MAX_MS)
+        assert longest == max(1000, 4000 * round_trip if not linear else 0)
 
 
 def test_a_socket_that_is_no_tcp_connection_has_no_counts():
