@@ -174,7 +174,7 @@ class Device:
                 f"Accept it by 'waivers: [{WATCHDOG}]' in its binding"
             )
         own = "none" if seconds is None else f"{seconds:g} s"
-        self.note(f"own watchdog: {own}, limit {longest:g} s: accepted by waiver")
+        self.note(f"own watchdog: {own}, {longest:g} s required: accepted by waiver")
 
     async def settings(self) -> Sequence[Setting]:
         """The lasting settings that its binding needs, each as it is now. Raises DeviceError."""
