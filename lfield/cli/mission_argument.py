@@ -27,6 +27,20 @@ def add_mission(parser: argparse.ArgumentParser, *, required: bool = True) -> No
     named.add_argument("--deploy", metavar="MISSION", type=Path, action=_Once, help="same as MISSION")
 
 
+def add_program(parser: argparse.ArgumentParser) -> None:
+    """Declare the program of a mission."""
+    parser.add_argument(
+        "--program", metavar="FILE", type=Path, help="program, as text or compiled (default: MISSION.L)"
+    )
+
+
+def add_bindings(parser: argparse.ArgumentParser) -> None:
+    """Declare the devices file of a mission."""
+    parser.add_argument(
+        "--devices", metavar="FILE", type=Path, help="device bindings (default: MISSION.devices.yaml)"
+    )
+
+
 class _Once(argparse.Action):
     """Of two missions the first would be forgotten silently."""
 

@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from lfield.cli.mission_argument import add_bindings, add_program
 from lfield.errors import UsageError
 
 if TYPE_CHECKING:
@@ -29,12 +30,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=Path,
         help="output file (default: FILE.lfm, or FILE.lb for a program)",
     )
-    parser.add_argument(
-        "--program", metavar="FILE", type=Path, help="program, as text or compiled (default: MISSION.L)"
-    )
-    parser.add_argument(
-        "--devices", metavar="FILE", type=Path, help="device bindings (default: MISSION.devices.yaml)"
-    )
+    add_program(parser)
+    add_bindings(parser)
     parser.add_argument(
         "--capabilities",
         metavar="FILE",

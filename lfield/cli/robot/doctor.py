@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from lfield import exits
-from lfield.cli.mission_argument import setup_command
+from lfield.cli.mission_argument import add_bindings, setup_command
 
 if TYPE_CHECKING:
     from lfield.driver.plugins import Plugins
@@ -27,9 +27,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=Path,
         help="also test every device of this deployment or bundle",
     )
-    parser.add_argument(
-        "--devices", metavar="FILE", type=Path, help="device bindings (default: MISSION.devices.yaml)"
-    )
+    add_bindings(parser)
     parser.add_argument("--host", metavar="NAME", help="only the devices of this host")
 
 

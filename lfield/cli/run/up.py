@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from lfield import exits
-from lfield.cli.mission_argument import add_mission, mission_path, setup_command
+from lfield.cli.mission_argument import add_bindings, add_mission, add_program, mission_path, setup_command
 from lfield.errors import DevicesError, OutputFileError, UsageError
 from lfield.text.numbers import real_above_0, whole_between
 
@@ -41,12 +41,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--host", metavar="NAME", help="host to run (default: the one named like this computer)"
     )
     where.add_argument("--all", action="store_true", help="run every host on this computer, one process each")
-    parser.add_argument(
-        "--program", metavar="FILE", type=Path, help="program, as text or compiled (default: MISSION.L)"
-    )
-    parser.add_argument(
-        "--devices", metavar="FILE", type=Path, help="device bindings (default: MISSION.devices.yaml)"
-    )
+    add_program(parser)
+    add_bindings(parser)
     parser.add_argument(
         "--sim", action="store_true", help="bind every device to a simulated one, and start these"
     )

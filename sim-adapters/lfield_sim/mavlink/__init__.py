@@ -182,9 +182,6 @@ def _set_up(device: DeviceBinding, vehicle: VehicleOption) -> dict[str, float]:
     )
 
 
-SIM = MavlinkSim()
-
-
 def _add_places(parser: argparse.ArgumentParser) -> None:
     """Where the vehicles stand at power-on."""
     parser.add_argument(
@@ -197,3 +194,6 @@ def _add_places(parser: argparse.ArgumentParser) -> None:
         "--stand", type=stand, action="append", default=[], metavar="SYSTEM:NORTH,EAST,DOWN,HEADING",
         help="position of one vehicle at power-on, in m from --origin, and its heading in rad",
     )  # fmt: skip
+
+
+SIM = MavlinkSim()

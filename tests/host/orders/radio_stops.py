@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from functools import partial
 
 from emulator.air import Air
@@ -52,13 +52,13 @@ class RadioWorld(World):
         self._send(name, to, bytes(self.NOISE), lambda: None)
         self.later(every * self.dice.uniform(0.5, 1.5), partial(self._noise, name, every))
 
-    def carry(self, source: str, target: str, data: bytes, taken) -> None:  # type: ignore[no-untyped-def]
+    def carry(self, source: str, target: str, data: bytes, taken: Callable[[], None]) -> None:
         self.bytes += len(data) + HEADERS
         if self._keeps:
             self.sent.append((source, target, data))
         self._send(source, target, bytes(len(data) + HEADERS), taken)
 
-    def _send(self, source: str, target: str, data: bytes, taken) -> None:  # type: ignore[no-untyped-def]
+    def _send(self, source: str, target: str, data: bytes, taken: Callable[[], None]) -> None:
         packet = _Packet(data)
         packet.arrived = taken
         self.air.send(self.now, self._numbers[source], self._numbers[target], packet)

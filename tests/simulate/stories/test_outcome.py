@@ -7,7 +7,9 @@ from pathlib import Path
 
 import pytest
 
+from lfield.mobility.copies import Copy
 from lfield.mobility.departures import Departures
+from lfield.mobility.effects import Effect
 from lfield.simulate.__main__ import main
 from lfield.simulate.fleet import Book
 from lfield.simulate.seeds import Tally, told
@@ -26,7 +28,7 @@ def test_another_log_line_changes_the_digest_of_a_story_and_not_its_outcome(
 def test_another_behaviour_changes_the_outcome(monkeypatch: pytest.MonkeyPatch) -> None:
     before = told(15)
 
-    def resumes(self: Departures, copy):  # type: ignore[no-untyped-def]
+    def resumes(self: Departures, copy: Copy) -> list[Effect]:
         return self._resume(copy, "UnreachableResourceException", "it took too long")
 
     monkeypatch.setattr(Departures, "overdue", resumes)
