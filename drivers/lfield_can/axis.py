@@ -137,7 +137,7 @@ class CanAxis(Device):
     async def _set_up_again(self) -> None:
         """After a restart. It may be in motion all the same: another device with its id has booted, or some
         other master on the bus has taken it out of operation."""
-        with suppress(DeviceError):  # what keeps it from being set up is told below
+        with suppress(DeviceError):  # the set-up below reports the cause
             await self.protocol.command_safe(self.safe_state)
         await self.protocol.setup()
         if self.protocol.state.enabled:

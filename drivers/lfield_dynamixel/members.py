@@ -211,7 +211,7 @@ class Members(Device):
         self._tell_conditions()
 
     async def _is_doubled(self, servo: Servo, urgency: int, fewest: int = FEWEST_ROUNDS) -> bool:
-        """Whether another servo with its id has joined; that is told once."""
+        """Whether another servo with its id has joined; reported once."""
         number, place = servo.node.number, servo.model.present
         conflict = await self.chain.roll_call(servo.node, *place, urgency=urgency, fewest=fewest)
         if conflict and number not in self.conflicts:

@@ -49,7 +49,7 @@ Answers = Mapping[str, T | LfieldError]
 #: Gives an order to a host over the connection that stands; raises AddressError where there is none.
 Standing = Callable[[str, OrderMessage], Awaitable[EmergencyStopped]]
 
-#: Answers are told after so many seconds, and then as often, while another host has not answered.
+#: Answers are printed at this interval in seconds while another host has not answered.
 TOLD_AFTER = 1.0
 #: So many hosts are asked at a time, and so many that are in runs of other users: a process may have 1024
 #: descriptors. Of one such run so many hosts that did not answer get a line each.
@@ -112,9 +112,7 @@ def asked_in_turn(
     """The same in parts, none of them empty, the answers of other users' hosts last.
 
     A host that does not answer does not delay the answers of others by more than TOLD_AFTER. Nothing is sent
-    while the caller uses a part.
-
-    What a bug of ours has kept from being asked, or heard, is raised when everybody else has been asked.
+    while the caller uses a part. A bug of lfield is raised when all hosts have been asked.
     """
     places = {place: address for party in parties for place, address in party.places.items()}
     failed: dict[Place, LfieldError] = {}
@@ -314,7 +312,7 @@ class _AskingAll(Generic[K, T]):
         return {run: desk.give(message, addresses) for run, addresses in runs.items()}
 
     def _end_datagrams(self, _: object) -> None:
-        """Nothing is asked any more, also where somebody has interrupted it."""
+        """End the datagrams when the hosts are asked no more, also after an interrupt."""
         for given in self._given.values():
             assert self._desk is not None
             self._desk.taken(given)
@@ -365,7 +363,9 @@ class _AskingAll(Generic[K, T]):
     async def believed_within(self, seconds: float) -> bool:
         """Wait for the answers of `believed` for so long at most; returns whether they are complete."""
         done, _ = await asyncio.wait([self._believed], timeout=seconds)
-        return any(task.result() is None for task in done)
+        for task in done:
+            task.result()
+        return bool(done)
 
     async def believed(self) -> dict[K, T | LfieldError]:
         """The answers of all that are there on nobody else's word."""

@@ -70,7 +70,7 @@ class Signs(Protocol):
         """Whether its host has not been heard, though there is a link."""
 
     def ask(self, member: Member, within: float) -> None:
-        """Ask its host for a sign of life; nobody is sent there before it has come.
+        """Ask its host for a heartbeat; no coordinator is sent there before it has come.
 
         A host that was heard in the last `within` seconds need not be asked.
         """

@@ -83,7 +83,7 @@ def told_in_turn(
 ) -> Told:
     """Ask for it, and tell what each host says as it comes; devices are then what the `word` says.
 
-    Raises KeyboardInterrupt after a sentence that names the hosts whose answers were not told.
+    Raises KeyboardInterrupt after it has named the hosts whose answers were not printed.
     """
     from lfield.operator.ask import asked_in_turn
 
@@ -97,7 +97,7 @@ def told_in_turn(
             answers |= some
     except KeyboardInterrupt:
         left = ", ".join(name for place, name in names.items() if place not in answers)
-        _tell(clipped(f"interrupted: no answer is known of {left}; press it again", _LINE))
+        _tell(clipped(f"interrupted: no answer yet from {left}; run the command again", _LINE))
         raise
     return Told(answers, confirmed, everybody)
 

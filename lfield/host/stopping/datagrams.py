@@ -26,11 +26,11 @@ from lfield.wire.fields import clip
 from lfield.wire.observing import EmergencyStop, EmergencyStopped, OrderChallenge, Pause
 from lfield.wire.orders import Epochs, Order, RelayedAnswer, RelayedOrder, SignedOrder
 
-#: A confirmation that is not there after so many seconds is announced, so that the desk repeats less often;
-#: and whoever asks meanwhile is told that at most so often.
+#: A confirmation that is not ready after so many seconds is announced, so that the desk repeats less often.
+#: The announcement is repeated to a desk at this interval at most.
 RECEIVED_AFTER = 0.2
 #: A copy of the first confirmation is sent so many seconds after it: a desk that missed it would ask for it a
-#: round trip later. Only whoever has sent a verified order gets it.
+#: round trip later. Only the sender of a verified order gets it.
 CONFIRMED_AGAIN = 0.03
 #: A datagram of a desk passes so many hosts at most, goes on to so many that may know the way, and the same
 #: one not again within so many seconds.
@@ -217,7 +217,7 @@ class OrderDatagrams:
         self.later(RECEIVED_AFTER, lambda: self._announce(order.id))
 
     def _announce(self, id: bytes) -> None:
-        """Say to all who have not been told lately that the order is being executed."""
+        """Tell the senders that got no announcement lately that the order is being executed."""
         asked, now = self._asked.get(id), self._now()
         if asked is None or not asked.is_executing:
             return
